@@ -1,0 +1,1 @@
+"""Back end: the pose graph on GTSAM."""

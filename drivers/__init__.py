@@ -1,0 +1,1 @@
+"""Drivers: the robot and its laser, on the wire and simulated."""

@@ -1,0 +1,1 @@
+"""Simulators: worlds, a differential-drive robot and a range finder."""

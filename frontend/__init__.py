@@ -1,0 +1,1 @@
+"""Front end: from scans to keyframes, matches and loop candidates."""

@@ -1,0 +1,1 @@
+"""Logs: the shared message vocabulary, MCAP reading and writing, importers and exporters."""

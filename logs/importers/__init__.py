@@ -1,0 +1,1 @@
+"""Importers: foreign log formats as ordered streams of messages."""

@@ -1,0 +1,1 @@
+"""The application: pipeline, configuration, runs, reports and the command line."""
