@@ -1,0 +1,7 @@
+"""Errors of the application that a person can act on; `slam.cli` turns them into one line."""
+
+from __future__ import annotations
+
+
+class ReportError(Exception):
+    """A run, its truth or a trajectory cannot be evaluated; the message says where and why."""
