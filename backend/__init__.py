@@ -1,1 +1,1 @@
-"""Back end: the pose graph on GTSAM."""
+"""The back end: the pose graph on GTSAM."""

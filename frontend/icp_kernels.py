@@ -1,0 +1,222 @@
+"""Numba kernels of the point-to-line matcher: correspondence search and normal equations.
+
+Nothing here allocates inside an iteration, and nothing depends on threads or on the order
+of a parallel reduction, so that equal inputs give equal bits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+VALID = 1
+LINE = 2
+
+
+@njit(cache=True, nogil=True)
+def bearing_of(y, x):
+    """atan2 to 2e-4 rad, enough to find the beam where the search begins."""
+    ax, ay = abs(x), abs(y)
+    big, small = max(ax, ay), min(ax, ay)
+    if big == 0.0:
+        return 0.0
+    t = small / big
+    t2 = t * t
+    # Odd minimax polynomial of atan on [0, 1].
+    angle = t * (0.9998660 + t2 * (-0.3302995 + t2 * (0.1801410 + t2 * (-0.0851330 + t2 * 0.0208351))))
+    if ay > ax:
+        angle = 0.5 * np.pi - angle
+    if x < 0.0:
+        angle = np.pi - angle
+    return -angle if y < 0.0 else angle
+
+
+@njit(cache=True, nogil=True)
+def nearest_beam(px, py, points, flags, first, n, geometry, gate2):
+    """Index (from `first`) of the point nearest to (px, py) and its squared distance.
+
+    Walks outwards in bearing from the beam that looks at (px, py); a point seen at an angle
+    delta away is at least r sin(delta) far, which ends the walk.  (-1, gate2) if none is near.
+    """
+    angle_min, step, full = geometry[0], geometry[1], geometry[4] > 0.5
+    vx, vy = px - geometry[2], py - geometry[3]
+    r = np.sqrt(vx * vx + vy * vy)
+    turn = bearing_of(vy, vx) - angle_min
+    turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi))
+    centre = int(turn / step + 0.5)
+    if not full and centre >= n:
+        # Outside the field of view: begin at the nearer end.
+        centre = n - 1 if turn - (n - 1) * step < 2.0 * np.pi - turn else 0
+    best, best2 = -1, gate2
+    reach = n // 2 if full else n
+    for k in range(reach):
+        if k > 1:  # one beam of slack for rounding
+            delta = (k - 1) * step
+            if delta < 1.5:
+                bound = r * delta * (1.0 - delta * delta / 6.0)  # below r sin(delta)
+                if bound * bound > best2:
+                    break
+            elif r * r > best2:
+                break
+        for side in range(2):
+            if side == 0:
+                j = centre + k
+            elif k > 0:
+                j = centre - k
+            else:
+                continue
+            if full:
+                j = j % n
+            elif j < 0 or j >= n:
+                continue
+            if flags[first + j] & VALID:
+                dx, dy = points[first + j, 0] - px, points[first + j, 1] - py
+                d2 = dx * dx + dy * dy
+                if d2 < best2:
+                    best, best2 = j, d2
+    return best, best2
+
+
+@njit(cache=True, nogil=True)
+def accumulate(
+    source_points, source_lines, source_flags, stride, offset,
+    points, lines, flags, starts, geometries, poses,
+    x, y, theta, gate, scale, system,
+):
+    """One pass over all pairs at target_T_source = (x, y, theta); fills `system`.
+
+    system: H (upper triangle: 6), g (3), cost, weight sum, pairs, squared residuals of inliers,
+    information that noisy normals feign (xx, xy, yy), beams tried, beams explained.
+    Residuals are n . p - d in the frame of each reference; derivatives are with respect to a
+    step (x, y, theta) in the source frame, pose * Exp(step).  Weights: Geman-McClure.
+    """
+    system[:] = 0.0
+    gate2 = gate * gate
+    inverse_scale2 = 1.0 / (scale * scale)
+    for ref in range(len(starts) - 1):
+        first, n = starts[ref], starts[ref + 1] - starts[ref]
+        # ref_T_source
+        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
+        dx, dy = x - poses[ref, 0], y - poses[ref, 1]
+        tx, ty = cr * dx + sr * dy, cr * dy - sr * dx
+        c, s = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
+        geometry = geometries[ref]
+        for i in range(offset, len(source_points), stride):
+            if not source_flags[i] & VALID:
+                continue
+            qx, qy = source_points[i, 0], source_points[i, 1]
+            px, py = c * qx - s * qy + tx, s * qx + c * qy + ty
+            system[15] += 1.0
+            j, _ = nearest_beam(px, py, points, flags, first, n, geometry, gate2)
+            if j < 0:
+                continue
+            j += first
+            if not flags[j] & LINE:
+                continue
+            nx, ny = lines[j, 0], lines[j, 1]
+            # The normal in the source frame.
+            ax, ay = c * nx + s * ny, c * ny - s * nx
+            if source_flags[i] & LINE and ax * source_lines[i, 0] + ay * source_lines[i, 1] < 0.5:
+                continue
+            residual = nx * px + ny * py - lines[j, 2]
+            if abs(residual) > gate:
+                continue
+            at = ay * qx - ax * qy
+            root = 1.0 / (1.0 + residual * residual * inverse_scale2)
+            w = root * root
+            wax, way, wat = w * ax, w * ay, w * at
+            system[0] += wax * ax
+            system[1] += wax * ay
+            system[2] += wax * at
+            system[3] += way * ay
+            system[4] += way * at
+            system[5] += wat * at
+            system[6] += wax * residual
+            system[7] += way * residual
+            system[8] += wat * residual
+            system[9] += residual * residual * root
+            system[10] += w
+            system[11] += 1.0
+            v = w * lines[j, 3]
+            system[12] += v * ay * ay
+            system[13] -= v * ax * ay
+            system[14] += v * ax * ax
+            if residual * residual * inverse_scale2 < 1.0:
+                system[16] += 1.0
+
+
+@njit(cache=True, nogil=True)
+def solve3(a, g, step):
+    """Solve the symmetric 3x3 system (upper triangle a, 6) for -g by Cholesky; False if singular."""
+    if not a[0] > 0.0:
+        return False
+    l00 = np.sqrt(a[0])
+    l10, l20 = a[1] / l00, a[2] / l00
+    d1 = a[3] - l10 * l10
+    if not d1 > 1e-12 * a[3]:
+        return False
+    l11 = np.sqrt(d1)
+    l21 = (a[4] - l20 * l10) / l11
+    d2 = a[5] - l20 * l20 - l21 * l21
+    if not d2 > 1e-12 * a[5]:
+        return False
+    l22 = np.sqrt(d2)
+    u0 = -g[0] / l00
+    u1 = (-g[1] - l10 * u0) / l11
+    u2 = (-g[2] - l20 * u0 - l21 * u1) / l22
+    step[2] = u2 / l22
+    step[1] = (u1 - l21 * step[2]) / l11
+    step[0] = (u0 - l10 * step[1] - l20 * step[2]) / l00
+    return True
+
+
+@njit(cache=True, nogil=True)
+def gauss_newton(
+    source_points, source_lines, source_flags, stride,
+    points, lines, flags, starts, geometries, poses,
+    pose, prior, information, noise, gate, scale, iterations, tolerance, system,
+):
+    """Iterate from `pose` (3,), which it overwrites, towards the minimum; (converged, count).
+
+    Minimises sum rho(residual) / noise^2 + the prior's squared distance; `information` (3, 3) is
+    that of the step from `prior` (3,) in the prior's own frame, zero for no prior.
+    """
+    a = np.empty(6)
+    g = np.empty(3)
+    step = np.empty(3)
+    inverse = 1.0 / (noise * noise)
+    for iteration in range(iterations):
+        accumulate(
+            source_points, source_lines, source_flags, stride, 0,
+            points, lines, flags, starts, geometries, poses,
+            pose[0], pose[1], pose[2], gate, scale, system,
+        )
+        for k in range(6):
+            a[k] = system[k] * inverse * stride
+        for k in range(3):
+            g[k] = system[6 + k] * inverse * stride
+        # The prior's error, in the frame of the current pose (rotation differences are small).
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        dx, dy = pose[0] - prior[0], pose[1] - prior[1]
+        e0, e1 = c * dx + s * dy, c * dy - s * dx
+        e2 = pose[2] - prior[2]
+        e2 -= 2.0 * np.pi * np.round(e2 / (2.0 * np.pi))
+        a[0] += information[0, 0]
+        a[1] += information[0, 1]
+        a[2] += information[0, 2]
+        a[3] += information[1, 1]
+        a[4] += information[1, 2]
+        a[5] += information[2, 2]
+        for k in range(3):
+            g[k] += information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2
+        if system[11] < 3.0 or not solve3(a, g, step):
+            return False, iteration + 1
+        # pose * Exp(step), the exponential to second order: steps are small and shrinking.
+        half = 0.5 * step[2]
+        ux, uy = step[0] - half * step[1], step[1] + half * step[0]
+        pose[0] += c * ux - s * uy
+        pose[1] += s * ux + c * uy
+        pose[2] += step[2]
+        if abs(step[0]) + abs(step[1]) < tolerance and abs(step[2]) < 0.2 * tolerance:
+            return True, iteration + 1
+    return False, iterations

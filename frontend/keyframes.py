@@ -1,0 +1,99 @@
+"""Which scan becomes the next keyframe: SDP-PE, or a constant interval."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from gtsam import Pose2
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
+from frontend.scan import PreparedScan
+
+
+class KeyframeConfig(BaseModel):
+    """Keyframe selection."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: Literal["sdp-pe", "constant"] = Field(
+        "sdp-pe", description="interval from the walls' complexity, or always the same"
+    )
+    unit: Literal["metres", "scans"] = Field(
+        "metres", description="what intervals count: travelled metres, or scans as in the paper"
+    )
+    interval: float = Field(0.3, gt=0, description="constant interval, in units")
+    min_interval: float = Field(0.2, gt=0, description="shortest SDP-PE interval, in units")
+    max_interval: float = Field(0.5, gt=0, description="longest SDP-PE interval, in units")
+    t_low: float = Field(0.0, ge=0, description="T_PE at which the interval is the shortest")
+    t_high: float = Field(3.0, gt=0, description="T_PE at which the interval is the longest")
+    weights: tuple[float, float, float, float] = Field(
+        (1.0, 0.25, 1.0, 0.25), description="w1 to w4 of Equation 2"
+    )
+    profile_reach: float = Field(4.0, gt=0, description="m of wall ahead and behind")
+    profile_bin: float = Field(0.25, gt=0, description="m, grid of the wall profile")
+    max_turn: float = Field(0.3, gt=0, description="rad, a larger turn always makes a keyframe")
+    max_time: float = Field(
+        10.0, gt=0, description="s, the longest wait while the robot moves at all"
+    )
+    still: float = Field(0.02, ge=0, description="m or rad below which the robot stands still")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> KeyframeConfig:
+        if self.min_interval > self.max_interval:
+            raise ValueError("min_interval must not exceed max_interval")
+        if self.t_low >= self.t_high:
+            raise ValueError("t_low must be below t_high")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """How far the robot may go from a keyframe, and why."""
+
+    length: float  # in the configured unit
+    complexity: PoseComplexity | None  # None where the method does not look at the walls
+
+
+def interval_after(keyframe: PreparedScan, config: KeyframeConfig) -> Interval:
+    """The interval from this keyframe to the next.
+
+    SDP-PE: the more complex the walls, the less overlap a match needs, the longer the interval.
+    The paper gives no mapping from T_PE to the interval; it is taken as linear between two
+    clamps, the simplest monotone one.
+    """
+    if config.method == "constant":
+        return Interval(config.interval, None)
+    left, right = wall_profiles(keyframe.points, config.profile_reach, config.profile_bin)
+    complexity = pose_score(wall_sums(left), wall_sums(right), config.weights)
+    share = (complexity.t_pe - config.t_low) / (config.t_high - config.t_low)
+    share = min(max(share, 0.0), 1.0)
+    length = config.min_interval + share * (config.max_interval - config.min_interval)
+    return Interval(length, complexity)
+
+
+def reason_to_keep(
+    moved: Pose2, scans: int, seconds: float, interval: Interval, config: KeyframeConfig
+) -> str:
+    """Why the current scan should become a keyframe; empty if it should not.
+
+    Args:
+        moved: last-keyframe_T_now by odometry.
+        scans: since the last keyframe.
+        seconds: since the last keyframe.
+        interval: chosen at the last keyframe.
+        config: limits.
+    """
+    distance, turn = float(np.hypot(moved.x(), moved.y())), abs(moved.theta())
+    if turn >= config.max_turn:
+        return "turn"
+    if config.unit == "scans":
+        if scans >= interval.length:
+            return "scans"
+    elif distance >= interval.length:
+        return "distance"
+    if seconds >= config.max_time and max(distance, turn) > config.still:
+        return "time"
+    return ""

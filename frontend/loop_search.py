@@ -1,0 +1,130 @@
+"""Loop candidates: is this the place where the robot was long ago, and exactly where in it?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from frontend.correlative import (
+    CorrelativeConfig,
+    Found,
+    LikelihoodField,
+    Window,
+    build_field,
+    search,
+    thin,
+)
+from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
+from frontend.scan import VALID, PreparedScan
+
+Matrix = NDArray[np.float64]
+
+
+class LoopSearchConfig(BaseModel):
+    """Verification of a loop candidate."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    correlative: CorrelativeConfig = CorrelativeConfig()
+    min_score: float = Field(0.45, ge=0, le=1, description="of the correlative search")
+    rival_ratio: float = Field(
+        0.92, gt=0, le=1, description="a second place that scores this share of the best is ambiguous"
+    )
+    min_explained: float = Field(0.6, ge=0, le=1, description="share of paired beams that must fit")
+    min_fit: float = Field(0.55, ge=0, le=1, description="mean likelihood of the query at the result")
+    max_reach: float = Field(15.0, gt=0, description="m, the search window never grows beyond")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Closure:
+    """A candidate after the search; `reason` is empty if nothing spoke against it."""
+
+    result: MatchResult | None  # target_T_source of the refined match
+    score: float
+    second_score: float
+    reason: str
+
+
+def submap_points(scans: Sequence[tuple[Pose2, PreparedScan]]) -> Matrix:
+    """All valid points of some scans in one frame, (n, 2); poses are frame_T_scan."""
+    parts = []
+    for pose, scan in scans:
+        points = scan.points[(scan.flags & VALID) > 0]
+        parts.append(pose.transformFrom(np.asfortranarray(points.T)).T)
+    return np.concatenate(parts)
+
+
+def target_field(scans: Sequence[tuple[Pose2, PreparedScan]], config: CorrelativeConfig) -> LikelihoodField:
+    """Likelihood field of some old keyframes in the frame of one of them."""
+    points = submap_points(scans)
+    return build_field(np.ascontiguousarray(points), config)
+
+
+def close_loop(
+    field: LikelihoodField,
+    references: Sequence[Reference],
+    query: Sequence[tuple[Pose2, PreparedScan]],
+    predicted: Pose2,
+    covariance: Matrix,
+    config: LoopSearchConfig,
+    matcher: MatchConfig,
+) -> Closure:
+    """Search, refine and judge one candidate.
+
+    Args:
+        field: of the old place, in the frame of its anchor keyframe.
+        references: the old keyframes, in the anchor's frame.
+        query: the last keyframes, in the frame of the newest, which comes last.
+        predicted: anchor_T_newest as the graph has it.
+        covariance: of that prediction, in the newest's frame.
+        config: thresholds.
+        matcher: of the scan matcher.
+    """
+    sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    sigma_turn = float(np.sqrt(covariance[2, 2]))
+    window = Window(
+        predicted, min(3 * sigma + 0.3, config.max_reach), min(3 * sigma_turn + 0.1, np.pi)
+    )
+    cloud = submap_points(query)
+    near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.correlative.max_range
+    points = thin(cloud[near], config.correlative.resolution, config.correlative.max_points)
+    found = search(field, points, window, config.min_score)
+    if found is None:
+        return Closure(None, 0.0, 0.0, "no pose in the window explains the scan")
+    return _refine(found, field, points, references, query[-1][1], config, matcher)
+
+
+def _refine(
+    found: Found, field: LikelihoodField, points: Matrix, references: Sequence[Reference],
+    newest: PreparedScan, config: LoopSearchConfig, matcher: MatchConfig,
+) -> Closure:  # fmt: skip
+    seed = Prior(found.target_T_query, np.diag([0.1**2, 0.1**2, 0.03**2]))
+    result = match(references, newest, found.target_T_query, matcher, seed)
+    score, second = found.score, found.second_score
+    if not result.converged:
+        return Closure(None, score, second, f"match refused: {result.reason}")
+    if result.explained < config.min_explained:
+        return Closure(result, score, second, f"only {100 * result.explained:.0f} % of beams fit")
+    fit = likelihood_at(field, points, result.target_T_source)
+    if fit < config.min_fit:
+        return Closure(result, fit, second, f"mean likelihood {fit:.2f} is too low")
+    if second > config.rival_ratio * score:
+        return Closure(result, fit, second, "another place in the window fits as well")
+    return Closure(result, fit, second, "")
+
+
+def likelihood_at(field: LikelihoodField, points: Matrix, target_T_query: Pose2) -> float:
+    """Mean likelihood (0 to 1) of query points (n, 2) at a pose."""
+    placed = target_T_query.transformFrom(np.asfortranarray(points.T)).T
+    cells = np.floor((placed - field.origin) / field.resolution).astype(np.int64)
+    rows, columns = field.levels.shape[1:]
+    inside = (
+        (cells[:, 0] >= 0) & (cells[:, 0] < columns) & (cells[:, 1] >= 0) & (cells[:, 1] < rows)
+    )
+    values = field.levels[0][cells[inside, 1], cells[inside, 0]]
+    return float(values.sum()) / len(points)

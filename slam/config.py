@@ -1,0 +1,115 @@
+"""The whole configuration: one frozen model per stage, read from TOML."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from backend.pose_graph import GraphConfig
+from frontend.keyframes import KeyframeConfig
+from frontend.matching import MatchConfig
+from frontend.scan import ScanConfig
+from slam.localise import LocaliseConfig
+from slam.loops import LoopConfig
+from slam.occupancy import MapConfig
+from slam.odometry import OdometryConfig
+from slam.tracking import TrackingConfig
+
+
+class ConfigError(Exception):
+    """A setting is unknown or out of range; the message names it and the nearest known one."""
+
+
+class SlamConfig(BaseModel):
+    """Every setting of a run."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    scan: ScanConfig = ScanConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    matcher: MatchConfig = MatchConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    tracking: TrackingConfig = TrackingConfig()
+    loops: LoopConfig = LoopConfig()
+    graph: GraphConfig = GraphConfig()
+    localise: LocaliseConfig = LocaliseConfig()
+    map: MapConfig = MapConfig()
+    lost_inflation: float = Field(
+        10.0, ge=1, description="factor on odometry's sigmas where neither source is trusted"
+    )
+
+    def sha256(self) -> str:
+        """Hash of the effective configuration, independent of how it was written down."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_config(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
+    """Read a TOML file (defaults without one), then apply `section.key=value` overrides.
+
+    Raises:
+        ConfigError: the file cannot be read, or a key or value is not acceptable.
+    """
+    data: dict[str, Any] = {}
+    where = "--set"
+    if path is not None:
+        where = str(path)
+        try:
+            data = tomllib.loads(path.read_text())
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    for override in overrides:
+        _apply(data, override)
+    try:
+        return SlamConfig.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {describe(error)}") from error
+
+
+def _apply(data: dict[str, Any], override: str) -> None:
+    """Put one `section.key=value` into nested tables; the value is TOML, or else a bare word."""
+    key, equals, text = override.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set {override!r}: expected section.key=value")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    *sections, name = key.strip().split(".")
+    table = data
+    for section in sections:
+        table = table.setdefault(section, {})
+        if not isinstance(table, dict):
+            raise ConfigError(f"--set {override!r}: {section} is not a section")
+    table[name] = value
+
+
+def describe(error: ValidationError) -> str:
+    """The first problem in one line; for an unknown key, the nearest known one."""
+    first = error.errors()[0]
+    location = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(location, known_keys(SlamConfig), n=1, cutoff=0.3)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return f"unknown setting {location}{hint}"
+    return f"{location}: {first['msg']} (got {first['input']!r})"
+
+
+def known_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    """Dotted names of every setting below a model."""
+    keys = []
+    for name, field in model.model_fields.items():
+        keys.append(prefix + name)
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            keys += known_keys(kind, f"{prefix}{name}.")
+    return keys

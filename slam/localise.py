@@ -1,0 +1,129 @@
+"""After optimisation: sharpen the graph once more, then find every scan's own pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+
+from backend.pose_graph import Edge, PoseGraph
+from frontend.matching import MatchConfig, Prior, Reference, match
+from frontend.scan import PreparedScan
+from slam.keyframe import Keyframe
+
+Matrix = NDArray[np.float64]
+
+
+class LocaliseConfig(BaseModel):
+    """Refinement after the loops are closed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    every_scan: bool = Field(True, description="match every scan, not only the keyframes")
+    neighbours: int = Field(3, ge=1, description="nearest keyframes a scan is matched against")
+    refine_passes: int = Field(1, ge=0, description="global passes that re-match neighbours")
+    refine_neighbours: int = Field(6, ge=2, description="keyframes in each such match")
+    radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
+    sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
+    sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
+    min_explained: float = Field(0.6, ge=0, le=1, description="below, the guess is kept")
+
+
+def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
+    """The guess as a loose prior."""
+    return Prior(guess, np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2)
+
+
+def refine_edges(
+    keyframes: Sequence[Keyframe], graph: PoseGraph, config: LocaliseConfig, matcher: MatchConfig
+) -> list[Edge]:
+    """One more match of each keyframe against its neighbours in space, whatever their age.
+
+    Each match is joint, against the nearest keyframes held where the graph has them, and gives
+    one edge to the nearest of those that the tracking did not already use.
+    """
+    poses = graph.poses
+    tree = cKDTree(poses[:, :2])
+    edges = []
+    for keyframe in keyframes:
+        k = keyframe.index
+        near = tree.query(
+            poses[k, :2],
+            k=min(4 * config.refine_neighbours, len(poses)),
+            distance_upper_bound=config.radius_m,
+        )[1]
+        chosen = [int(n) for n in np.atleast_1d(near) if n < len(poses) and n != k]
+        chosen = chosen[: config.refine_neighbours]
+        if not chosen:
+            continue
+        anchor = chosen[0]
+        base = graph.pose(anchor)
+        references = [Reference(base.between(graph.pose(n)), keyframes[n].prepared) for n in chosen]
+        guess = base.between(graph.pose(k))
+        result = match(references, keyframe.prepared, guess, matcher, prior_of(guess, config))
+        if not result.converged or result.explained < config.min_explained:
+            continue
+        kind = "icp" if abs(anchor - k) == 1 else "loop"
+        edges.append(Edge(kind, anchor, k, result.target_T_source, result.information))
+    return edges
+
+
+def warp(
+    odom_poses: Matrix,
+    scan_keyframes: NDArray[np.int64],
+    keyframe_scans: NDArray[np.int64],
+    keyframe_poses: Matrix,
+) -> Matrix:
+    """Poses of all scans from odometry bent onto the keyframes, (n, 3).
+
+    Between two keyframes the odometry's step is followed, and the difference to where the
+    graph puts the second one is spread evenly over the scans in between.
+    """
+    out = np.empty_like(odom_poses)
+    for s in range(len(odom_poses)):
+        k = max(int(scan_keyframes[s]), 0)
+        a = int(keyframe_scans[k])
+        odom_T_a, map_T_a = Pose2(*odom_poses[a]), Pose2(*keyframe_poses[k])
+        pose = map_T_a * odom_T_a.between(Pose2(*odom_poses[s]))
+        if k + 1 < len(keyframe_scans) and s > a:
+            b = int(keyframe_scans[k + 1])
+            end = map_T_a * odom_T_a.between(Pose2(*odom_poses[b]))
+            correction = Pose2.Logmap(end.between(Pose2(*keyframe_poses[k + 1])))
+            pose = pose * Pose2.Expmap(correction * ((s - a) / (b - a)))
+        out[s] = pose.x(), pose.y(), pose.theta()
+    return out
+
+
+class ScanLocaliser:
+    """Finds the pose of single scans among the optimised keyframes."""
+
+    def __init__(
+        self, keyframes: Sequence[Keyframe], poses: Matrix, config: LocaliseConfig,
+        matcher: MatchConfig,
+    ) -> None:  # fmt: skip
+        self._keyframes = keyframes
+        self._poses = [Pose2(*pose) for pose in poses]
+        self._tree = cKDTree(poses[:, :2])
+        self._config = config
+        self._matcher = matcher
+        self.matches = 0
+
+    def locate(self, scan: PreparedScan, guess: Pose2) -> Pose2:
+        """map_T_base of a scan; the guess where the match is refused."""
+        count = min(self._config.neighbours, len(self._poses))
+        near = np.atleast_1d(self._tree.query([guess.x(), guess.y()], k=count)[1])
+        base = self._poses[int(near[0])]
+        references = [
+            Reference(base.between(self._poses[int(n)]), self._keyframes[int(n)].prepared)
+            for n in near
+        ]
+        prior = prior_of(base.between(guess), self._config)
+        result = match(references, scan, prior.target_T_source, self._matcher, prior)
+        self.matches += 1
+        if not result.converged or result.explained < self._config.min_explained:
+            return guess
+        return base * result.target_T_source

@@ -1,0 +1,237 @@
+"""Loop closure: which old keyframes to try, and what it takes for a closure to be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from backend.pose_graph import Edge, PoseGraph
+from frontend.correlative import LikelihoodField
+from frontend.loop_search import Closure, LoopSearchConfig, close_loop, target_field
+from frontend.matching import MatchConfig, Reference
+from frontend.scan import PreparedScan
+from logs.messages import LoopVerdict
+from slam.keyframe import Keyframe
+
+
+class LoopConfig(BaseModel):
+    """Loop closing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    enabled: bool = Field(True, description="search for loops at all")
+    every_m: float = Field(1.0, gt=0, description="m travelled between searches")
+    min_path_m: float = Field(8.0, gt=0, description="m of path before a place counts as old")
+    view_m: float = Field(6.0, gt=0, description="m within which two scans see the same things")
+    places: int = Field(3, ge=1, description="distinct places tried per search")
+    places_apart_m: float = Field(3.0, gt=0, description="m between two such places")
+    query_keyframes: int = Field(4, ge=1, description="latest keyframes that form the query")
+    target_half: int = Field(
+        4, ge=0, description="keyframes either side of the anchor in the target"
+    )
+    tight_m: float = Field(0.8, gt=0, description="m, windows below need no second witness")
+    witnesses: int = Field(
+        2, ge=1, description="further closures that must agree with one from a wide window"
+    )
+    pending_m: float = Field(15.0, gt=0, description="m of travel a closure waits for witnesses")
+    gate: float = Field(
+        1e-3, gt=0, lt=1, description="chance of refusing a true closure by chi-square"
+    )
+    search: LoopSearchConfig = LoopSearchConfig()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """A closure that passed the search and waits to be believed."""
+
+    edge: Edge
+    closure: Closure
+    stamp_ns: int
+    travelled_m: float
+    chi_square: float
+
+
+class LoopCloser:
+    """Finds, verifies and admits loop closures; the caller adds them to the graph."""
+
+    def __init__(self, config: LoopConfig, matcher: MatchConfig) -> None:
+        self.config = config
+        self.verdicts: list[LoopVerdict] = []
+        self._matcher = matcher
+        self._pending: list[Candidate] = []
+        self._fields: dict[int, LikelihoodField] = {}
+        self._searched_m = 0.0
+        self._limit = float(chi2.isf(config.gate, 3))
+
+    def moved(self) -> None:
+        """The graph changed its shape: forget maps of old places, which have moved within."""
+        self._fields.clear()
+
+    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Edge]:
+        """Loop edges that are now believed, for the newest keyframe and ones that waited."""
+        newest = keyframes[-1]
+        if not self.config.enabled or newest.travelled_m - self._searched_m < self.config.every_m:
+            return []
+        self._searched_m = newest.travelled_m
+        accepted: list[Edge] = []
+        for anchor in self._places(keyframes, graph):
+            candidate = self._try(keyframes, graph, anchor)
+            if candidate is not None:
+                accepted += self._admit(candidate, graph, newest.travelled_m)
+        return accepted
+
+    def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
+        """Anchors of old places that the newest keyframe may be at, the likeliest first."""
+        newest = keyframes[-1]
+        old = [
+            k.index for k in keyframes[:: max(1, self.config.target_half)]
+            if newest.travelled_m - k.travelled_m > self.config.min_path_m
+        ]  # fmt: skip
+        if not old:
+            return []
+        here = graph.poses[newest.index, :2]
+        sigma = float(np.sqrt(np.linalg.eigvalsh(graph.marginal(newest.index)[:2, :2])[-1]))
+        reach = min(3 * sigma, self.config.search.max_reach) + self.config.view_m
+        tree = cKDTree(graph.poses[old, :2])
+        near = sorted(
+            tree.query_ball_point(here, reach),
+            key=lambda k: (float(np.hypot(*(graph.poses[old[k], :2] - here))), k),
+        )
+        chosen: list[int] = []
+        for k in near:
+            at = graph.poses[old[k], :2]
+            if all(
+                np.hypot(*(graph.poses[other, :2] - at)) > self.config.places_apart_m
+                for other in chosen
+            ):
+                chosen.append(old[k])
+            if len(chosen) == self.config.places:
+                break
+        return chosen
+
+    def _submap(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: range, origin: int
+    ) -> list[tuple[Pose2, PreparedScan]]:
+        base = graph.pose(origin)
+        return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
+
+    def _try(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchor: int
+    ) -> Candidate | None:
+        newest = keyframes[-1].index
+        half = self.config.target_half
+        target = range(max(0, anchor - half), min(newest, anchor + half + 1))
+        old = self._submap(keyframes, graph, target, anchor)
+        query = self._submap(
+            keyframes,
+            graph,
+            range(max(0, newest - self.config.query_keyframes + 1), newest + 1),
+            newest,
+        )
+        if anchor not in self._fields:
+            self._fields[anchor] = target_field(old, self.config.search.correlative)
+        predicted, covariance = graph.relative(anchor, newest)
+        references = [Reference(pose, scan) for pose, scan in old]
+        closure = close_loop(
+            self._fields[anchor], references, query, predicted, covariance,
+            self.config.search, self._matcher,
+        )  # fmt: skip
+        stamp_ns = keyframes[-1].scan.stamp_ns
+        result = closure.result
+        if closure.reason or result is None:
+            self._record(stamp_ns, anchor, newest, closure, closure.reason, np.nan)
+            return None
+        error = Pose2.Logmap(predicted.between(result.target_T_source))
+        known = np.linalg.inv(covariance)
+        weight = known - known @ np.linalg.solve(known + result.information, known)
+        chi_square = float(error @ weight @ error)
+        if chi_square > self._limit:
+            reason = f"chi-square {chi_square:.1f} against the graph"
+            self._record(stamp_ns, anchor, newest, closure, reason, chi_square)
+            return None
+        edge = Edge("loop", anchor, newest, result.target_T_source, result.information)
+        travelled = keyframes[-1].travelled_m
+        candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square)
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        if 3 * sigma > self.config.tight_m:
+            return candidate
+        self._record(stamp_ns, anchor, newest, closure, "accepted", chi_square)
+        self._accepted_now = candidate
+        return candidate
+
+    _accepted_now: Candidate | None = None
+
+    def _admit(self, candidate: Candidate, graph: PoseGraph, travelled_m: float) -> list[Edge]:
+        """The edges believed now: a tight one at once, a wide one with its witnesses."""
+        if candidate is self._accepted_now:
+            self._accepted_now = None
+            return [candidate.edge]
+        kept = []
+        for waiting in self._pending:
+            if travelled_m - waiting.travelled_m > self.config.pending_m:
+                self._verdict(waiting, "no further closure agreed with it")
+            else:
+                kept.append(waiting)
+        self._pending = kept
+        agreeing = [w for w in kept if self._consistent(w.edge, candidate.edge, graph)]
+        if len(agreeing) < self.config.witnesses:
+            self._pending.append(candidate)
+            return []
+        self._pending = [w for w in kept if not any(w is a for a in agreeing)]
+        believed = [*agreeing, candidate]
+        for one in believed:
+            self._verdict(one, "accepted")
+        return [one.edge for one in believed]
+
+    def _consistent(self, a: Edge, b: Edge, graph: PoseGraph) -> bool:
+        """Pairwise consistency (Mangelson et al. 2018): do both closures tell the same story?"""
+        if a.j == b.j:
+            return False  # two answers to one question are no witnesses of each other
+        new, new_cov = graph.relative(a.j, b.j)
+        old, old_cov = (Pose2(), np.zeros((3, 3))) if a.i == b.i else graph.relative(a.i, b.i)
+        # a.i -> a.j -> b.j against a.i -> b.i -> b.j
+        around = (a.i_T_j * new).between(old * b.i_T_j)
+        error = Pose2.Logmap(around)
+        bridge = b.i_T_j.inverse().AdjointMap()
+        back = new.inverse().AdjointMap()
+        covariance = (
+            new_cov
+            + np.linalg.inv(b.information + 1e-6 * np.eye(3))
+            + back @ np.linalg.inv(a.information + 1e-6 * np.eye(3)) @ back.T
+            + bridge @ old_cov @ bridge.T
+        )
+        return float(error @ np.linalg.solve(covariance, error)) < self._limit
+
+    def finish(self) -> None:
+        """Give the closures that still wait their verdict."""
+        for waiting in self._pending:
+            self._verdict(waiting, "no further closure agreed with it")
+        self._pending = []
+
+    def _verdict(self, candidate: Candidate, reason: str) -> None:
+        self._record(
+            candidate.stamp_ns, candidate.edge.i, candidate.edge.j, candidate.closure, reason,
+            candidate.chi_square,
+        )  # fmt: skip
+
+    def _record(
+        self, stamp_ns: int, i: int, j: int, closure: Closure, reason: str, chi_square: float
+    ) -> None:
+        self.verdicts.append(
+            LoopVerdict(
+                stamp_ns,
+                i,
+                j,
+                reason == "accepted",
+                reason,
+                closure.score,
+                closure.second_score,
+                chi_square,
+            )  # fmt: skip
+        )
