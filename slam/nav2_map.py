@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.messages import OccupancyMap
+from slam.errors import ReportError
 from slam.trajectory import Trajectory
 
 OCCUPIED_THRESHOLD = 0.65
@@ -54,6 +55,34 @@ def write_nav2_map(directory: Path, grid: OccupancyMap) -> None:
         f"free_thresh: {FREE_THRESHOLD}\n",
         encoding="ascii",
     )
+
+
+def read_nav2_map(directory: Path) -> OccupancyMap:
+    """Read back what `write_nav2_map` wrote: 0 free, 100 occupied, -1 unknown.
+
+    Raises:
+        ReportError: if a file is missing or is not such a map.
+    """
+    try:
+        lines = (directory / "map.yaml").read_text(encoding="utf-8").splitlines()
+        settings = {
+            key.strip(): value.strip() for key, _, value in (s.partition(":") for s in lines)
+        }
+        origin = [float(number) for number in settings["origin"].strip("[]").split(",")]
+        resolution = float(settings["resolution"])
+        magic, size, _, pixels = (directory / "map.pgm").read_bytes().split(b"\n", 3)
+        columns, rows = (int(number) for number in size.split())
+        grey = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns)[::-1]
+    except OSError as error:
+        raise ReportError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    except (KeyError, ValueError, IndexError) as error:
+        raise ReportError(f"{directory / 'map.yaml'}: not a map of ours: {error}") from error
+    if magic != b"P5" or not resolution > 0.0:
+        raise ReportError(f"{directory / 'map.pgm'}: not a map of ours")
+    cells = np.full(grey.shape, -1, dtype=np.int8)
+    cells[grey == FREE] = 0
+    cells[grey == OCCUPIED] = 100
+    return OccupancyMap(0, resolution, origin[0], origin[1], cells)
 
 
 def write_map_png(path: Path, grid: OccupancyMap, trajectory: Trajectory | None = None) -> None:
@@ -110,7 +139,7 @@ def _figure_size(width: float, height: float) -> tuple[float, float]:
 
 def _shaded(cells: NDArray[np.int8]) -> NDArray[np.uint8]:
     """Return RGB pixels: white where free, slate where occupied, pale grey where unknown."""
-    share = np.linspace(0.0, 1.0, 101)[:, None]
+    share = np.linspace(0.0, 1.0, 101)[:, None] ** 2  # so that hardly seen free space is pale
     table = np.empty((256, 3))
     table[:] = (232, 235, 238)
     table[:101] = (1.0 - share) * (255, 255, 255) + share * (30, 41, 59)
