@@ -103,7 +103,7 @@ def write_map_png(path: Path, grid: OccupancyMap, trajectory: Trajectory | None 
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.imshow(
-        _shaded(cells),
+        _shaded(_shrunk(cells)),
         origin="lower",
         extent=(left, left + width, bottom, bottom + height),
         interpolation="antialiased",
@@ -129,6 +129,20 @@ def known_part(cells: NDArray[np.int8]) -> tuple[slice, slice]:
     if len(rows) == 0:
         return slice(0, cells.shape[0]), slice(0, cells.shape[1])
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def _shrunk(cells: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Merge cells until there are about as many as pixels; the most occupied one stays visible.
+
+    Otherwise the picture of a 400 m map would take gigabytes to draw.
+    """
+    step = max(1, int(max(cells.shape) // (_PNG_LONG_SIDE * _PNG_DPI)))
+    if step == 1:
+        return cells
+    rows, columns = (-(-n // step) for n in cells.shape)
+    padded = np.full((rows * step, columns * step), -1, dtype=np.int8)
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    return np.asarray(padded.reshape(rows, step, columns, step).max(axis=(1, 3)))
 
 
 def _figure_size(width: float, height: float) -> tuple[float, float]:

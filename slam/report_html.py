@@ -33,7 +33,7 @@ _COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("final pose [m]", "final_pose_error_m", 4),
     ("ANEES", "anees", 2),
     ("wall [s]", "timing.wall_s", 2),
-    ("speed [real time]", "timing.realtime_factor", 1),
+    ("\N{MULTIPLICATION SIGN} real time", "timing.realtime_factor", 1),
 )
 
 
@@ -65,9 +65,13 @@ def format_number(value: Any, decimals: int = 3) -> str:
 
 
 def _comparison(reports: Sequence[RunReport]) -> dict[str, Any]:
-    """Return headings, a row for each run, and mean ± 95 % interval where there are several."""
+    """Return headings, a row for each run, and mean ± 95 % interval; nothing for one run."""
     values = [[_lookup(r.figures, key) for _, key, _ in _COLUMNS] for r in reports]
-    used = [k for k in range(len(_COLUMNS)) if any(row[k] is not None for row in values)]
+    used = [
+        k
+        for k in range(len(_COLUMNS))
+        if len(reports) > 1 and any(row[k] is not None for row in values)
+    ]
     rows = [
         (report.run.name, [format_number(row[k], _COLUMNS[k][2]) for k in used])
         for report, row in zip(reports, values, strict=True)
@@ -117,7 +121,6 @@ def _map(report: RunReport) -> dict[str, Any]:
         tracks.append(Track("truth", "c", report.errors.truth_in_map))
     if report.run.odometry is not None and len(report.run.odometry):
         tracks.append(Track("odometry", "b", report.run.odometry.poses))
-    # The first track sets the view and is drawn last, so that it lies on top.
     return {"svg": map_figure(report.run.grid, tracks), "keys": [(t.name, t.style) for t in tracks]}
 
 

@@ -37,7 +37,7 @@ def map_figure(grid: OccupancyMap | None, tracks: Sequence[Track]) -> Markup:
     parts: list[Markup] = []
     if grid is not None:
         parts.append(_map_image(grid, left, top))
-    for track in tracks:
+    for track in reversed(tracks):  # so that the first lies on top
         points = _simplified(track.poses[:, :2], 0.0005 * max(width, height))
         d = svg_path(points[:, 0] - left, top - points[:, 1], digits=3)
         parts.append(Markup('<path class="track {}" d="{}"/>').format(track.style, d))
@@ -132,7 +132,7 @@ def _scale_bar(width: float, height: float) -> Markup:
     x, y, size = 0.02 * width, height - 0.02 * max(width, height), 0.018 * max(width, height)
     return Markup(
         '<path class="scale" d="M{0:.3f} {1:.3f}h{2:.3f}"/>'
-        '<text class="scale" x="{0:.3f}" y="{3:.3f}" font-size="{4:.3f}">{2:g} m</text>'
+        '<text class="scale" x="{0:.3f}" y="{3:.3f}" style="font-size:{4:.3f}px">{2:g} m</text>'
     ).format(x, y, length, y - 0.5 * size, size)
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 720, 230
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 12, 12, 40
+_WIDTH, _HEIGHT = 560, 220
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 26, 40
 _MOST_POINTS = 600  # of a curve: about one a pixel, each with its low and high
 
 
@@ -102,7 +102,7 @@ def _to_pixels(
 def _axes(
     x_range: tuple[float, float], y_range: tuple[float, float], x_label: str, y_label: str
 ) -> Markup:
-    x_ticks, y_ticks = _ticks(x_range, 8), _ticks(y_range, 5)
+    x_ticks, y_ticks = _ticks(x_range, 7), _ticks(y_range, 5)
     x, _ = _to_pixels(x_ticks, x_range, y_range, np.zeros_like(x_ticks))
     _, y = _to_pixels(np.zeros_like(y_ticks), x_range, y_range, y_ticks)
     base, end = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
@@ -150,7 +150,7 @@ def _legend(curves: Sequence[Curve]) -> Markup:
             Markup(
                 '<path class="curve {}" d="M{:.0f} {}h18"/>'
                 '<text class="key" x="{:.0f}" y="{}">{}</text>'
-            ).format(curve.style, x, _TOP + 6, x + 23, _TOP + 10, curve.name)
+            ).format(curve.style, x, 11, x + 23, 15, curve.name)
         )
         x += 40 + 7 * len(curve.name)
     return Markup("").join(parts)

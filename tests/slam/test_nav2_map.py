@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.messages import OccupancyMap
-from slam.nav2_map import known_part, write_map_png, write_nav2_map
+from slam.nav2_map import _shrunk, known_part, write_map_png, write_nav2_map
 from slam.trajectory import Trajectory
 
 
@@ -66,3 +66,12 @@ def test_the_known_part_is_tight():
     cells = np.full((10, 10), -1, dtype=np.int8)
     cells[2:5, 3:9] = 0
     assert known_part(cells) == (slice(2, 5), slice(3, 9))
+
+
+def test_a_large_map_is_drawn_small_and_keeps_its_walls():
+    cells = np.zeros((3601, 5500), dtype=np.int8)
+    cells[1234, :] = 100
+    shrunk = _shrunk(cells)
+    assert shrunk.shape == (1201, 1834)
+    assert np.all(shrunk[1234 // 3] == 100)
+    assert np.count_nonzero(shrunk) == 1834
