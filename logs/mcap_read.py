@@ -1,0 +1,240 @@
+"""Reading our MCAP logs: messages in file order, streamed chunk by chunk."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+from mcap import records
+from mcap.opcode import Opcode
+
+from logs.attachments import Attachment, is_plain_name
+from logs.errors import LogError, NewerSchema, shown
+from logs.mcap_file import (
+    MAGIC,
+    PARSE_ERRORS,
+    Damaged,
+    Inner,
+    RawMessage,
+    Record,
+    indexed_messages,
+    inner_records,
+    message_of,
+    read_body,
+    stream,
+    unpack_chunk,
+    walk,
+)
+from logs.mcap_summary import Summary, open_file, read_summary
+from logs.messages import Message
+from logs.schemas import CHANNELS, STAMP_LIMIT, decode
+
+SCHEMA_VERSION = 1
+"""Version of channels and fields; raised when an old reader would misread a new file."""
+
+
+class Log:
+    """An open log.  `skipped` counts per cause what could not be read, and grows as it is read."""
+
+    def __init__(self, path: Path, file: IO[bytes], summary: Summary) -> None:
+        self.path = path
+        self.skipped: Counter[str] = Counter()
+        self._file, self._summary = file, summary
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Yield the messages on the given topics (all of ours) in file order."""
+        for _, message in self.receipts(topics):
+            yield message
+
+    def receipts(self, topics: Collection[str] | None = None) -> Iterator[tuple[int, Message]]:
+        """Yield each message with its time of receipt in ns, in file order."""
+        wanted = CHANNELS.keys() if topics is None else CHANNELS.keys() & set(topics)
+        topic_of_id: dict[int, str | None] = {}
+        for raw in self._raw_messages():
+            if raw.channel_id not in topic_of_id:
+                topic_of_id[raw.channel_id] = self._topic(raw.channel_id)
+            topic = topic_of_id[raw.channel_id]
+            if topic is None or topic not in wanted:
+                continue
+            if raw.publish_time >= STAMP_LIMIT or raw.log_time >= STAMP_LIMIT:
+                self.skipped[f"{topic}: time after the year 2262"] += 1
+                continue
+            try:
+                message = decode(topic, raw.publish_time, raw.data)
+            except ValueError as error:
+                self.skipped[f"{topic}: {error}"] += 1
+                continue
+            yield raw.log_time, message
+
+    def _topic(self, channel_id: int) -> str | None:
+        """Return the topic of a channel, if it is one of ours in topic and schema."""
+        channel = self._summary.channels.get(channel_id)
+        if channel is None:
+            self.skipped["messages of a channel that is nowhere described"] += 1
+            return None
+        ours = CHANNELS.get(channel.topic)
+        schema = self._summary.schemas.get(channel.schema_id)
+        fits = ours is not None and (schema.name if schema else "") == ours.schema_name
+        return channel.topic if fits else None
+
+    def _raw_messages(self) -> Iterator[RawMessage]:
+        for record in self._records():
+            try:
+                if record.opcode == Opcode.CHUNK:
+                    yield from self._inside(unpack_chunk(read_body(self._file, record)))
+                elif record.opcode == Opcode.MESSAGE:
+                    body = read_body(self._file, record)
+                    yield message_of(body, 0, len(body))
+                elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._summary.note(record.opcode, read_body(self._file, record))
+            except (Damaged, *PARSE_ERRORS) as error:
+                self.skipped[f"messages lost: {error}"] += self._indexed_after(record)
+
+    def _indexed_after(self, chunk: Record) -> int:
+        """Return how many messages the indexes behind a damaged chunk count, at least 1."""
+        count = 0
+        with suppress(Damaged):
+            for record in walk(self._file, chunk.end, self._summary.data_end):
+                if record.opcode != Opcode.MESSAGE_INDEX:
+                    break
+                count += indexed_messages(read_body(self._file, record))
+        return max(count, 1)
+
+    def _inside(self, data: bytes) -> Iterator[RawMessage]:
+        for inner in inner_records(data):
+            if isinstance(inner, Inner):
+                self._summary.note(inner.opcode, inner.body)
+            else:
+                yield inner
+
+    def _records(self) -> Iterator[Record]:
+        try:
+            for record in walk(self._file, len(MAGIC), self._summary.data_end):
+                if record.opcode == Opcode.DATA_END:
+                    return
+                yield record
+        except Damaged as error:
+            self.skipped[f"rest of the file: {error}"] += 1
+
+    def channels(self) -> dict[str, str]:
+        """Return every topic in the file, ours or not, with the name of its schema."""
+        schemas = self._summary.schemas
+        return {
+            channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else ""
+            for channel in self._summary.channels.values()
+        }
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of messages per topic, as the file states it or by reading it."""
+        statistics = self._summary.statistics
+        by_id: Counter[int] = Counter()
+        if statistics is not None:
+            by_id.update(statistics.channel_message_counts)
+        else:
+            by_id.update(raw.channel_id for raw in self._raw_messages())
+        counts: Counter[str] = Counter()
+        for channel_id, channel in sorted(self._summary.channels.items()):
+            counts[channel.topic] += by_id[channel_id]
+        return dict(counts)
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Return the metadata records; those of one name are merged, later values win."""
+        merged: dict[str, dict[str, str]] = {}
+        for body in self._bodies(self._summary.metadata, Opcode.METADATA):
+            try:
+                record = records.Metadata.read(stream(body))
+            except PARSE_ERRORS:
+                self.skipped["metadata record is malformed"] += 1
+                continue
+            merged.setdefault(record.name, {}).update(record.metadata)
+        return merged
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield the attached files; one whose name is not a plain file name is skipped."""
+        for body in self._bodies(self._summary.attachments, Opcode.ATTACHMENT):
+            try:
+                record = records.Attachment.read(stream(body))
+            except PARSE_ERRORS:
+                self.skipped["attachment is malformed"] += 1
+                continue
+            if is_plain_name(record.name):
+                yield Attachment(record.name, record.media_type, record.data)
+            else:
+                self.skipped["attachment with an unsafe name"] += 1
+
+    def _bodies(self, offsets: list[int], opcode: Opcode) -> Iterator[bytes]:
+        for offset in offsets:
+            try:
+                record = next(walk(self._file, offset, self._summary.data_end))
+                if record.opcode != opcode:
+                    raise Damaged("the index points to something else")
+                yield read_body(self._file, record)
+            except (Damaged, StopIteration) as error:
+                self.skipped[f"{opcode.name.lower()} not found: {error}"] += 1
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def open_log(path: Path | str) -> Log:
+    """Open an MCAP log for reading; use it in a `with` block.
+
+    Raises:
+        TruncatedLog: if the recording was cut off.
+        NewerSchema: if a newer version of this program wrote it.
+        LogError: if it is no MCAP log, or has no channel of ours.
+    """
+    path = Path(path)
+    file = open_file(path)
+    try:
+        log = Log(path, file, read_summary(file, path))
+        _require_known_version(log)
+        _require_our_channels(log)
+    except BaseException:
+        file.close()
+        raise
+    return log
+
+
+def _require_known_version(log: Log) -> None:
+    stated = log.metadata().get("run", {}).get("schema_version")
+    if stated is None:
+        return
+    if not (stated.isascii() and stated.isdigit() and len(stated) < 10):
+        raise LogError(f"{log.path}: schema version {shown(stated)!r} is not a number")
+    if int(stated) > SCHEMA_VERSION:
+        raise NewerSchema(
+            f"{log.path}: written by a newer version (schema {int(stated)}, this one reads up to "
+            f"{SCHEMA_VERSION}): upgrade with `pip install --upgrade sdp-slam`"
+        )
+
+
+def _require_our_channels(log: Log) -> None:
+    channels = log.channels()
+    ours = {topic for topic, schema in channels.items() if _is_ours(topic, schema)}
+    if channels and not ours:
+        found = ", ".join(f"{shown(t)} ({shown(s) or 'no schema'})" for t, s in channels.items())
+        raise LogError(
+            f"{log.path}: has none of our channels, only {found[:400]}: "
+            "ROS bags become logs with `slam import`"
+        )
+
+
+def _is_ours(topic: str, schema_name: str) -> bool:
+    return topic in CHANNELS and CHANNELS[topic].schema_name == schema_name
