@@ -19,6 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Attachment
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER_BODY = struct.Struct("<QQI")  # summary start, summary offset start, summary CRC
@@ -190,6 +191,22 @@ def message_of(data: bytes, start: int, end: int) -> RawMessage:
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
     payload = data[start + _MESSAGE.size : end]
     return RawMessage(channel, sequence, log_time, publish_time, payload)
+
+
+def attachment_of(body: bytes) -> Attachment:
+    """Return an attachment, checked against its CRC (0 means that there is none).
+
+    Raises:
+        Damaged: if it is not as it was written.
+    """
+    try:
+        attachment: Attachment = Attachment.read(stream(body))
+    except PARSE_ERRORS as error:
+        raise Damaged("an attachment is malformed") from error
+    crc = int.from_bytes(body[-4:], "little")
+    if crc and zlib.crc32(body[:-4]) != crc:
+        raise Damaged("an attachment's checksum is wrong")
+    return attachment
 
 
 def indexed_messages(body: bytes) -> int:

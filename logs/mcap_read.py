@@ -21,6 +21,7 @@ from logs.mcap_file import (
     Inner,
     RawMessage,
     Record,
+    attachment_of,
     indexed_messages,
     inner_records,
     message_of,
@@ -82,17 +83,27 @@ class Log:
         return channel.topic if fits else None
 
     def _raw_messages(self) -> Iterator[RawMessage]:
+        seen = 0
         for record in self._records():
             try:
                 if record.opcode == Opcode.CHUNK:
-                    yield from self._inside(unpack_chunk(read_body(self._file, record)))
+                    for raw in self._inside(unpack_chunk(read_body(self._file, record))):
+                        seen += 1
+                        yield raw
                 elif record.opcode == Opcode.MESSAGE:
                     body = read_body(self._file, record)
+                    seen += 1
                     yield message_of(body, 0, len(body))
                 elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._summary.note(record.opcode, read_body(self._file, record))
             except (Damaged, *PARSE_ERRORS) as error:
-                self.skipped[f"messages lost: {error}"] += self._indexed_after(record)
+                lost = self._indexed_after(record)
+                seen += lost
+                self.skipped[f"messages lost: {error}"] += lost
+        statistics = self._summary.statistics
+        if statistics is not None and statistics.message_count > seen:
+            missing = statistics.message_count - seen
+            self.skipped["messages lost: counted in the index, not found"] += missing
 
     def _indexed_after(self, chunk: Record) -> int:
         """Return how many messages the indexes behind a damaged chunk count, at least 1."""
@@ -157,9 +168,9 @@ class Log:
         """Yield the attached files; one whose name is not a plain file name is skipped."""
         for body in self._bodies(self._summary.attachments, Opcode.ATTACHMENT):
             try:
-                record = records.Attachment.read(stream(body))
-            except PARSE_ERRORS:
-                self.skipped["attachment is malformed"] += 1
+                record = attachment_of(body)
+            except Damaged as error:
+                self.skipped[str(error)] += 1
                 continue
             if is_plain_name(record.name):
                 yield Attachment(record.name, record.media_type, record.data)

@@ -21,6 +21,7 @@ from logs.mcap_file import (
     Inner,
     RawMessage,
     Record,
+    attachment_of,
     chunk_times,
     inner_records,
     message_of,
@@ -30,7 +31,7 @@ from logs.mcap_file import (
     walk,
 )
 from logs.mcap_log import CHUNK_BYTES, library_name
-from logs.mcap_summary import open_file
+from logs.mcap_summary import open_file, read_summary
 from logs.partial import PartialFile
 
 
@@ -54,7 +55,7 @@ class RecoveryReport:
     @property
     def lost(self) -> bool:
         """Whether anything that the file held could not be saved."""
-        return self.lost_bytes > 0
+        return bool(self.problems)
 
 
 def recover(source: Path | str, target: Path | str) -> RecoveryReport:
@@ -72,11 +73,11 @@ def recover(source: Path | str, target: Path | str) -> RecoveryReport:
             raise LogError(f"{target}: is the damaged log itself: name another file to write")
         out = PartialFile(target, keep=False)
         try:
-            salvage = _Salvage(file, _new_writer(out.stream))
+            salvage = _Salvage(source, file, _new_writer(out.stream))
             salvage.run()
             if salvage.nothing:
                 raise LogError(f"{source}: holds nothing that is intact: it cannot be recovered")
-            salvage.finish(source.name)
+            salvage.finish()
             out.commit()
         except OSError as error:
             out.abandon()
@@ -98,8 +99,8 @@ def _new_writer(stream: IO[bytes]) -> Writer:
 class _Salvage:
     """One pass over a damaged file, copying records to a writer."""
 
-    def __init__(self, file: IO[bytes], writer: Writer) -> None:
-        self._file, self._writer = file, writer
+    def __init__(self, path: Path, file: IO[bytes], writer: Writer) -> None:
+        self._path, self._file, self._writer = path, file, writer
         self._size = os.fstat(file.fileno()).st_size
         self._schema_ids: dict[int, int] = {0: 0}  # old id to new
         self._channel_ids: dict[int, int] = {}
@@ -121,16 +122,21 @@ class _Salvage:
         try:
             for record in walk(self._file, at, self._size):
                 if record.opcode == Opcode.DATA_END:
-                    self._closed_well = self._has_end()
+                    self._compare_with_index()
                     return
                 self._copy(record)
                 at = record.end
         except Damaged as error:
             self._lose(at, self._size, str(error))
 
-    def _has_end(self) -> bool:
-        self._file.seek(max(0, self._size - len(MAGIC)))
-        return self._file.read() == MAGIC
+    def _compare_with_index(self) -> None:
+        """Take note of messages that the file's own index counts and nobody found."""
+        with suppress(LogError):
+            statistics = read_summary(self._file, self._path).statistics
+            self._closed_well = True
+            missing = statistics.message_count - self._counts.total() if statistics else 0
+            if missing > 0:
+                self._problems.append(f"{missing} of the messages that the index counts are gone")
 
     def _copy(self, record: Record) -> None:
         try:
@@ -190,9 +196,7 @@ class _Salvage:
         self._times = min(first, message.log_time), max(last, message.log_time)
 
     def _copy_attachment(self, body: bytes) -> None:
-        attachment = records.Attachment.read(stream(body))
-        if len(attachment.data) + len(attachment.name) > len(body):
-            raise Damaged("an attachment is cut off")
+        attachment = attachment_of(body)
         self._writer.add_attachment(
             attachment.create_time,
             attachment.log_time,
@@ -216,9 +220,9 @@ class _Salvage:
                 return f" (messages received from {first} to {last} ns)"
         return ""
 
-    def finish(self, source_name: str) -> None:
+    def finish(self) -> None:
         """Note in the new log what it is, and write its index."""
-        note = {"source": source_name, "lost_bytes": str(self._lost_bytes)}
+        note = {"source": self._path.name, "lost_bytes": str(self._lost_bytes)}
         self._writer.add_metadata("recovered", note | {"problems": "; ".join(self._problems[:20])})
         self._writer.finish()  # type: ignore[no-untyped-call]
 

@@ -1,0 +1,133 @@
+"""Files made to hurt: refused or skipped with a count, in bounded memory."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from pathlib import Path
+
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Message, Schema
+
+from logs.errors import LogError
+from logs.mcap_file import MAGIC
+from logs.mcap_log import open_log
+from logs.messages import WheelOdometry
+from logs.protos import descriptor_set
+from logs.recover import recover
+from logs.schemas import encode
+
+
+def channel_records(topic: str = "/odom") -> bytes:
+    builder = RecordBuilder()
+    schema = descriptor_set("Odometry")
+    Schema(1, schema, "protobuf", "foxglove.Odometry").write(builder)
+    Channel(1, topic, "protobuf", {}, 1).write(builder)
+    return builder.end()
+
+
+def message_record(data: bytes, channel: int = 1, publish_time: int = 0) -> bytes:
+    builder = RecordBuilder()
+    Message(channel, 0, data, publish_time, 0).write(builder)
+    return builder.end()
+
+
+def chunk_record(packed: bytes, size: int, compression: str = "zstd") -> bytes:
+    builder = RecordBuilder()
+    Chunk(compression, packed, 0, 0, 0, size).write(builder)
+    return builder.end()
+
+
+def mcap_of(path: Path, *parts: bytes) -> Path:
+    """Write a closed MCAP file without a summary around the given records."""
+    head, tail = RecordBuilder(), RecordBuilder()
+    Header("", "x").write(head)
+    DataEnd(0).write(tail)
+    Footer(0, 0, 0).write(tail)
+    path.write_bytes(MAGIC + head.end() + b"".join(parts) + tail.end() + MAGIC)
+    return path
+
+
+GOOD = message_record(encode(WheelOdometry(0, 1.0, 2.0, 3.0)))
+BOMB = zstandard.compress(bytes(200_000_000))
+
+
+@pytest.mark.parametrize(
+    ("record", "cause"),
+    [
+        (chunk_record(b"x", 2**62), "claims more than"),
+        (chunk_record(BOMB, 200_000_000), "claims more than"),
+        (chunk_record(BOMB, 1000), "size it claims"),
+        (chunk_record(b"no zstd frame", 1000), "cannot be unpacked"),
+        (chunk_record(b"no lz4 frame", 1000, "lz4"), "cannot be unpacked"),
+        (chunk_record(b"x", 1, "zip"), "compression is unknown"),
+        (chunk_record(b"\x05" + struct.pack("<Q", 2**60), 9, ""), "within a chunk is cut off"),
+        (b"\x06" + struct.pack("<Q", 3) + b"abc", "cut off"),
+        (message_record(b"\xff" * 20), "/odom: not a foxglove.Odometry"),
+        (message_record(b"", publish_time=2**64 - 1), "2262"),
+        (message_record(b"", channel=77), "nowhere described"),
+    ],
+)
+def test_bad_records_are_skipped_and_counted(tmp_path: Path, record: bytes, cause: str):
+    path = mcap_of(tmp_path / "a.mcap", channel_records(), GOOD, record, GOOD)
+    tracemalloc.start()
+    with open_log(path) as log:
+        read = list(log.messages())
+        assert [type(m) for m in read] == [WheelOdometry, WheelOdometry]
+        ((said, count),) = log.skipped.items()
+    recover(path, tmp_path / "b.mcap")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert cause in said
+    assert count == 1
+    assert peak < 5_000_000
+
+
+def test_a_record_longer_than_the_file_ends_the_reading(tmp_path: Path):
+    path = mcap_of(
+        tmp_path / "a.mcap", channel_records(), GOOD, b"\x05" + struct.pack("<Q", 2**62), GOOD
+    )
+    with pytest.raises(LogError, match="more bytes than the file has"):
+        open_log(path)
+    report = recover(path, tmp_path / "b.mcap")
+    assert report.messages == {"/odom": 1}
+    assert report.lost
+
+
+def test_attachments_with_unsafe_names_or_lengths_are_skipped(tmp_path: Path):
+    builder = RecordBuilder()
+    for name in ("../../.bashrc", "/etc/passwd", "ok.toml"):
+        Attachment(0, 0, name, "text/plain", b"data").write(builder)
+    lying = b"\x09" + struct.pack("<QQQII", 28 + 8, 0, 0, 0, 0) + struct.pack("<Q", 2**40)
+    path = mcap_of(tmp_path / "a.mcap", channel_records(), builder.end(), lying)
+    with open_log(path) as log:
+        assert [a.name for a in log.attachments()] == ["ok.toml"]
+        assert log.skipped == {
+            "attachment with an unsafe name": 2,
+            "an attachment is malformed": 1,
+        }
+
+
+def test_a_damaged_attachment_is_not_handed_out(tmp_path: Path):
+    builder = RecordBuilder()
+    Attachment(0, 0, "ok.toml", "text/plain", b"speed = 1").write(builder)
+    damaged = builder.end().replace(b"speed = 1", b"speed = 9")
+    path = mcap_of(tmp_path / "a.mcap", channel_records(), GOOD, damaged)
+    with open_log(path) as log:
+        assert list(log.attachments()) == []
+        assert log.skipped == {"an attachment's checksum is wrong": 1}
+    assert recover(path, tmp_path / "b.mcap").lost
+
+
+def test_a_log_is_read_without_holding_it_in_memory(tmp_path: Path):
+    data = channel_records() + GOOD * 5_000
+    chunk = chunk_record(zstandard.compress(data), len(data))
+    path = mcap_of(tmp_path / "a.mcap", *[chunk] * 20)
+    tracemalloc.start()
+    with open_log(path) as log:
+        assert sum(1 for _ in log.messages()) == 100_000
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5 * len(data)
