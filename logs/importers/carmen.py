@@ -1,0 +1,181 @@
+"""CARMEN logs (`.clf`, `.log`, plain or gzipped): FLASER and ROBOTLASER1 with odometry.
+
+Rules for what CARMEN leaves open:
+
+- each laser line gives a scan and, with the same stamp, the robot's odometry (its second
+  pose); ODOM lines are left out unless asked for, because they repeat it at other times;
+- the laser's mount is the PARAM `robot_frontlaser_offset` (and its kin), zero without it,
+  unless the poses contradict: the laser's seen from the robot's is constant, and another;
+  poses that are equal contradict nothing, many a log repeats the robot's;
+- readings from the declared reach on, or from 50 m on where none is declared, are inf;
+  negative, zero and nan ones are nan, and counted;
+- a line that cannot be used is skipped and counted by cause; a log without one usable
+  scan is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from logs.errors import LogError
+from logs.importers import carmen_lines
+from logs.importers.carmen_lines import LaserLine, LineError, Reach
+from logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
+from logs.importers.text_lines import lines
+from logs.messages import WheelOdometry
+
+_REACH_PARAMS = {
+    b"robot_front_laser_max",
+    b"robot_frontlaser_max",
+    b"robot_front_laser_max_range",
+    b"laser_front_laser_max_range",
+}
+_MOUNT_PARAMS = {  # CARMEN's names for x, y and theta of base_T_laser
+    b"robot_frontlaser_offset": 0,
+    b"robot_frontlaser_side_offset": 1,
+    b"robot_frontlaser_angular_offset": 2,
+}
+_RIGID_M, _RIGID_RAD = 2e-3, 2e-3
+"""How much base_T_laser may vary in a log: poses are often written with three digits."""
+
+_Pose = tuple[float, float, float]
+
+
+def read_carmen(path: Path | str, *, odometry_lines: bool = False) -> ImportedLog:
+    """Read a CARMEN log into messages in stamp order.
+
+    Args:
+        path: the log, plain or gzipped.
+        odometry_lines: whether ODOM lines become messages as well.
+
+    Raises:
+        LogError: if the file cannot be read or holds no usable scan.
+    """
+    path = Path(path)
+    parser = _Parser(odometry_lines)
+    for line in lines(path, parser.skipped):
+        parser.feed(line)
+    if not parser.laser_lines:
+        raise LogError(f"{path}: {_nothing_found(parser)}")
+    return parser.finish()
+
+
+def _nothing_found(parser: _Parser) -> str:
+    if parser.skipped:
+        cause, count = parser.skipped.most_common(1)[0]
+        return f"no usable scan: {count} x {cause}: is it a CARMEN log?"
+    if parser.ignored["RAWLASER1"]:
+        return "only RAWLASER1 lines, which carry no odometry: record ROBOTLASER1 or FLASER"
+    return "holds no FLASER or ROBOTLASER1 line: is it a CARMEN log?"
+
+
+@dataclass(slots=True)
+class _Parser:
+    """Collects the lines of one log."""
+
+    odometry_lines: bool
+    laser_lines: list[LaserLine] = field(default_factory=list)
+    odometry: list[Reading] = field(default_factory=list)
+    readings: list[Reading] = field(default_factory=list)
+    reach: Reach = field(default_factory=Reach)
+    mount: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    skipped: Counter[str] = field(default_factory=Counter)
+    changed: Counter[str] = field(default_factory=Counter)
+    ignored: Counter[str] = field(default_factory=Counter)
+
+    def feed(self, line: bytes) -> None:
+        """Take in one line."""
+        fields = line.split()
+        if not fields or fields[0].startswith(b"#"):
+            return
+        try:
+            self._dispatch(fields[0], fields)
+        except LineError as error:
+            self.skipped[f"{fields[0].decode()}: {error}"] += 1
+
+    def _dispatch(self, kind: bytes, fields: list[bytes]) -> None:
+        if kind == b"FLASER":
+            self._add_laser(carmen_lines.flaser(fields, self.reach))
+        elif kind == b"ROBOTLASER1":
+            self._add_laser(carmen_lines.robotlaser(fields, self.reach))
+        elif kind == b"ODOM" and self.odometry_lines:
+            stamp_ns, pose = carmen_lines.odometry(fields)
+            self.readings.append(Reading(WheelOdometry(stamp_ns, *pose)))
+        elif kind == b"PARAM" and len(fields) > 2:
+            self._take_parameter(fields[1], fields[2])
+        elif kind in KINDS:
+            self.ignored[kind.decode()] += 1
+        else:
+            self.skipped["lines of no known kind"] += 1
+
+    def _add_laser(self, line: LaserLine) -> None:
+        if line.repaired:
+            self.changed["ranges that were zero, negative or nan, set to nan"] += line.repaired
+        beams = line.scan.ranges.size
+        if self.laser_lines and beams != self.laser_lines[-1].scan.ranges.size:
+            self.changed["changes of the number of beams"] += 1
+        self.laser_lines.append(line)
+        stamp_ns = line.scan.stamp_ns
+        self.readings.append(Reading(WheelOdometry(stamp_ns, *line.robot), line.scan))
+
+    def _take_parameter(self, name: bytes, text: bytes) -> None:
+        if name not in _REACH_PARAMS and name not in _MOUNT_PARAMS:
+            return
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise LineError("value is not a number")
+        if name in _MOUNT_PARAMS:
+            self.mount[_MOUNT_PARAMS[name]] = value
+        elif value > 0:
+            self.reach.declared = value
+
+    def finish(self) -> ImportedLog:
+        """Order the readings and find the mount."""
+        measured = _rigid_mount(self.laser_lines)
+        if measured is None:
+            self.changed["laser poses that are not rigid to the robot's, not used"] += 1
+        mount: _Pose = (self.mount[0], self.mount[1], self.mount[2])
+        if measured is not None and any(measured) and not _near(measured, mount):
+            mount = measured
+        readings = in_stamp_order(self.readings, self.changed)
+        messages = as_messages(readings, mount)
+        return ImportedLog("CARMEN", messages, self.skipped, self.changed, self.ignored)
+
+
+def _rigid_mount(laser_lines: list[LaserLine]) -> _Pose | None:
+    """Return base_T_laser as the first line has it, None if it is not the same in all."""
+    first = _between(laser_lines[0].robot, laser_lines[0].laser)
+    for line in laser_lines:
+        if not _near(_between(line.robot, line.laser), first):
+            return None
+    return first
+
+
+def _near(a: _Pose, b: _Pose) -> bool:
+    turned = math.remainder(a[2] - b[2], math.tau)
+    return math.hypot(a[0] - b[0], a[1] - b[1]) <= _RIGID_M and abs(turned) <= _RIGID_RAD
+
+
+def _between(a: _Pose, b: _Pose) -> _Pose:
+    """Return a_T_b of two poses in one frame."""
+    if a == b:
+        return 0.0, 0.0, 0.0
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return c * dx + s * dy, c * dy - s * dx, math.remainder(b[2] - a[2], math.tau)
+
+
+KINDS = {
+    b"FLASER",
+    *(f"{kind}{number}".encode() for kind in ("RAWLASER", "ROBOTLASER") for number in range(6)),
+    *(b"ODOM", b"PARAM", b"SYNC", b"RLASER", b"LASER3", b"LASER4", b"TRUEPOS", b"SONAR"),
+    *(b"REMISSIONFLASER", b"BUMPER", b"IMU", b"NMEAGGA", b"NMEARMC", b"NMEAVTG", b"NMEAGSV"),
+    *(b"SCANMARK", b"POSITIONLASER", b"GYRO", b"GRIPPER", b"VECMOVE", b"MARKER", b"PANTILT"),
+}
+"""First words of a CARMEN log's lines, read or passed over (CARMEN's headers, MRPT's docs)."""
