@@ -1,0 +1,1 @@
+"""Exporters: our logs in formats that other programs read."""
