@@ -30,6 +30,10 @@ class GraphConfig(BaseModel):
         1.0, gt=0, description="sigmas at which a loop factor starts to weigh less (Cauchy)"
     )
     icp_kernel: float = Field(3.0, gt=0, description="the same for matches of neighbours (Huber)")
+    match_sigma_trans: float = Field(
+        0.008, ge=0, description="m, added to every match: what real places do to its model"
+    )
+    match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
     relinearise_threshold: float = Field(0.05, gt=0, description="m or rad, ISAM2")
     relinearise_skip: int = Field(1, ge=1, description="updates between relinearisations, ISAM2")
     gnc: bool = Field(True, description="graduated non-convexity over the loops in the batch")
@@ -167,7 +171,7 @@ class PoseGraph:
         return parameters
 
     def _noise(self, edge: Edge, robust: bool) -> gtsam.noiseModel.Base:
-        gaussian = gtsam.noiseModel.Gaussian.Information(edge.information)
+        gaussian = gtsam.noiseModel.Gaussian.Information(self.weight(edge))
         if not robust:
             return gaussian
         estimators = gtsam.noiseModel.mEstimator
@@ -178,6 +182,20 @@ class PoseGraph:
         else:
             kernel = estimators.Cauchy.Create(self.config.loop_kernel)
         return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+
+    def weight(self, edge: Edge) -> Matrix:
+        """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
+        if edge.kind == "odometry":
+            return edge.information
+        sigma = np.array([self.config.match_sigma_trans] * 2 + [self.config.match_sigma_rot])
+        # (C + S^2)^-1 = (I + H S^2)^-1 H, written symmetrically; H may be blind on an axis.
+        scaled = edge.information * np.outer(sigma, sigma)
+        values, vectors = np.linalg.eigh(scaled)
+        shrunk = edge.information * 0.0 + (vectors * (values / (1.0 + values))) @ vectors.T
+        if not (sigma > 0).all():
+            return edge.information
+        weight: Matrix = shrunk / np.outer(sigma, sigma)
+        return 0.5 * (weight + weight.T)
 
     def _factor(self, edge: Edge, robust: bool) -> gtsam.BetweenFactorPose2:
         noise = self._noise(edge, robust)

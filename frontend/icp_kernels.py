@@ -12,6 +12,17 @@ from numba import njit
 VALID = 1
 LINE = 2
 
+# Layout of the sums that one pass fills: H (upper triangle, 6), g (3), and then
+COST = 9  # robust squared residuals
+WEIGHT = 10  # sum of weights
+PAIRS = 11  # pairs, over all references
+FEIGNED = 12  # information that noisy normals feign: xx, xy, yy
+TRIED = 15  # source beams
+INLIERS = 16  # pairs with a residual below the scale
+PAIRED = 17  # source beams with a partner in any reference
+FITTING = 18  # source beams that fit any reference
+SYSTEM = 19
+
 
 @njit(cache=True, nogil=True)
 def bearing_of(y, x):
@@ -79,35 +90,36 @@ def nearest_beam(px, py, points, flags, first, n, geometry, gate2):
 
 @njit(cache=True, nogil=True)
 def accumulate(
-    source_points, source_lines, source_flags, stride, offset,
+    source_points, source_lines, source_flags, stride,
     points, lines, flags, starts, geometries, poses,
-    x, y, theta, gate, scale, system,
+    x, y, theta, gate, scale, transforms, system,
 ):
-    """One pass over all pairs at target_T_source = (x, y, theta); fills `system`.
+    """One pass over all pairs at target_T_source = (x, y, theta); fills `system` (SYSTEM,).
 
-    system: H (upper triangle: 6), g (3), cost, weight sum, pairs, squared residuals of inliers,
-    information that noisy normals feign (xx, xy, yy), beams tried, beams explained.
     Residuals are n . p - d in the frame of each reference; derivatives are with respect to a
     step (x, y, theta) in the source frame, pose * Exp(step).  Weights: Geman-McClure.
+    `transforms` (references, 4) is scratch for cos, sin, x, y of reference_T_source.
     """
     system[:] = 0.0
     gate2 = gate * gate
     inverse_scale2 = 1.0 / (scale * scale)
-    for ref in range(len(starts) - 1):
-        first, n = starts[ref], starts[ref + 1] - starts[ref]
-        # ref_T_source
+    for ref in range(len(transforms)):
         cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
         dx, dy = x - poses[ref, 0], y - poses[ref, 1]
-        tx, ty = cr * dx + sr * dy, cr * dy - sr * dx
-        c, s = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
-        geometry = geometries[ref]
-        for i in range(offset, len(source_points), stride):
-            if not source_flags[i] & VALID:
-                continue
-            qx, qy = source_points[i, 0], source_points[i, 1]
-            px, py = c * qx - s * qy + tx, s * qx + c * qy + ty
-            system[15] += 1.0
-            j, _ = nearest_beam(px, py, points, flags, first, n, geometry, gate2)
+        transforms[ref, 0], transforms[ref, 1] = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
+        transforms[ref, 2], transforms[ref, 3] = cr * dx + sr * dy, cr * dy - sr * dx
+    for i in range(0, len(source_points), stride):
+        if not source_flags[i] & VALID:
+            continue
+        qx, qy = source_points[i, 0], source_points[i, 1]
+        system[TRIED] += 1.0
+        paired = False
+        fits = False
+        for ref in range(len(transforms)):
+            c, s = transforms[ref, 0], transforms[ref, 1]
+            px, py = c * qx - s * qy + transforms[ref, 2], s * qx + c * qy + transforms[ref, 3]
+            first, n = starts[ref], starts[ref + 1] - starts[ref]
+            j, _ = nearest_beam(px, py, points, flags, first, n, geometries[ref], gate2)
             if j < 0:
                 continue
             j += first
@@ -121,6 +133,7 @@ def accumulate(
             residual = nx * px + ny * py - lines[j, 2]
             if abs(residual) > gate:
                 continue
+            paired = True
             at = ay * qx - ax * qy
             root = 1.0 / (1.0 + residual * residual * inverse_scale2)
             w = root * root
@@ -134,15 +147,20 @@ def accumulate(
             system[6] += wax * residual
             system[7] += way * residual
             system[8] += wat * residual
-            system[9] += residual * residual * root
-            system[10] += w
-            system[11] += 1.0
+            system[COST] += residual * residual * root
+            system[WEIGHT] += w
+            system[PAIRS] += 1.0
             v = w * lines[j, 3]
-            system[12] += v * ay * ay
-            system[13] -= v * ax * ay
-            system[14] += v * ax * ax
+            system[FEIGNED] += v * ay * ay
+            system[FEIGNED + 1] -= v * ax * ay
+            system[FEIGNED + 2] += v * ax * ax
             if residual * residual * inverse_scale2 < 1.0:
-                system[16] += 1.0
+                system[INLIERS] += 1.0
+                fits = True
+        if paired:
+            system[PAIRED] += 1.0
+        if fits:
+            system[FITTING] += 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -176,25 +194,28 @@ def gauss_newton(
     points, lines, flags, starts, geometries, poses,
     pose, prior, information, noise, gate, scale, iterations, tolerance, system,
 ):
-    """Iterate from `pose` (3,), which it overwrites, towards the minimum; (converged, count).
+    """Iterate from `pose` (3,), which it overwrites; returns (size of the last step, count).
 
     Minimises sum rho(residual) / noise^2 + the prior's squared distance; `information` (3, 3) is
-    that of the step from `prior` (3,) in the prior's own frame, zero for no prior.
+    that of the step from `prior` (3,) in the prior's own frame, zero for no prior.  The size of
+    the last step is in m (radians count fivefold) and inf if the system became singular.
     """
     a = np.empty(6)
     g = np.empty(3)
-    step = np.empty(3)
-    inverse = 1.0 / (noise * noise)
+    step = np.zeros(3)
+    before = np.zeros(3)
+    transforms = np.empty((len(starts) - 1, 4))
+    inverse = stride / (noise * noise)
+    damping = 1.0
+    size = np.inf
     for iteration in range(iterations):
         accumulate(
-            source_points, source_lines, source_flags, stride, 0,
+            source_points, source_lines, source_flags, stride,
             points, lines, flags, starts, geometries, poses,
-            pose[0], pose[1], pose[2], gate, scale, system,
+            pose[0], pose[1], pose[2], gate, scale, transforms, system,
         )
         for k in range(6):
-            a[k] = system[k] * inverse * stride
-        for k in range(3):
-            g[k] = system[6 + k] * inverse * stride
+            a[k] = system[k] * inverse
         # The prior's error, in the frame of the current pose (rotation differences are small).
         c, s = np.cos(pose[2]), np.sin(pose[2])
         dx, dy = pose[0] - prior[0], pose[1] - prior[1]
@@ -208,15 +229,23 @@ def gauss_newton(
         a[4] += information[1, 2]
         a[5] += information[2, 2]
         for k in range(3):
+            g[k] = system[6 + k] * inverse
             g[k] += information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2
-        if system[11] < 3.0 or not solve3(a, g, step):
-            return False, iteration + 1
+        if system[PAIRS] < 3.0 or not solve3(a, g, step):
+            return np.inf, iteration + 1
+        # Pairs that change partner to and fro make the iteration swing: shorten its steps.
+        if iteration > 5 and step[0] * before[0] + step[1] * before[1] + step[2] * before[2] < 0.0:
+            damping = max(0.5 * damping, 0.1)
+        for k in range(3):
+            step[k] *= damping
+            before[k] = step[k]
         # pose * Exp(step), the exponential to second order: steps are small and shrinking.
         half = 0.5 * step[2]
         ux, uy = step[0] - half * step[1], step[1] + half * step[0]
         pose[0] += c * ux - s * uy
         pose[1] += s * ux + c * uy
         pose[2] += step[2]
-        if abs(step[0]) + abs(step[1]) < tolerance and abs(step[2]) < 0.2 * tolerance:
-            return True, iteration + 1
-    return False, iterations
+        size = max(abs(step[0]) + abs(step[1]), 5.0 * abs(step[2]))
+        if size < tolerance:
+            return size, iteration + 1
+    return size, iterations

@@ -64,8 +64,9 @@ class MatchResult:
     information: Matrix  # (3, 3) of the scans alone, the prior left out
     covariance: Matrix  # (3, 3) of the pose, the prior included
     pairs: int
-    explained: float  # share of the paired beams within `final_scale` of their line
-    overlap: float  # share of the beams that found a partner
+    explained: float  # share of the pairs within `final_scale` of their line
+    overlap: float  # share of the beams that found a partner in any reference
+    quality: float  # share of the beams that fit a line of any reference
     rms: float  # m, robust, of the residuals
     weak_axis: float | None  # rad, direction in the source frame that the prior carries, if any
     weakness: float  # own sigma over the prior's sigma along that axis (or the weakest one)
@@ -79,6 +80,9 @@ class MatchResult:
         sx, sy, st = np.sqrt(np.diag(self.covariance))
         return float(sx), float(sy), float(st)
 
+
+# An iteration that still swings by a few tolerances stands well within the bias floor.
+SETTLED = 10.0
 
 _NO_INFORMATION = np.zeros((3, 3))
 # What stands in for a missing prior: a metre and a radian know nothing, but keep matrices regular.
@@ -99,7 +103,7 @@ def match(
     """
     stack = _stack(references)
     pose = np.array([guess.x(), guess.y(), guess.theta()])
-    system = np.zeros(17)
+    system = np.zeros(kernels.SYSTEM)
     if source.valid < config.min_pairs:
         return _refused(guess, prior, f"only {source.valid} usable beams")
     if stack is None:
@@ -107,15 +111,15 @@ def match(
     information = _NO_INFORMATION if prior is None else np.linalg.inv(prior.covariance)
     centre = pose.copy() if prior is None else _vector(prior.target_T_source)
     iterations = 0
-    converged = False
+    size = 0.0
     for gate, scale, tolerance, beams in _passes(config, prior):
         stride = max(1, len(source.points) // beams) if beams else 1
-        converged, count = kernels.gauss_newton(
+        size, count = kernels.gauss_newton(
             source.points, source.lines, source.flags, stride, *stack, pose, centre, information,
             config.range_noise, gate, scale, config.iterations, tolerance, system,
         )  # fmt: skip
         iterations += count
-    return _judge(pose, system, len(references), iterations, converged, guess, prior, config)
+    return _judge(pose, system, len(references), iterations, size, guess, prior, config)
 
 
 def _vector(pose: Pose2) -> Matrix:
@@ -154,30 +158,32 @@ def _stack(references: Sequence[Reference]) -> tuple[Matrix, ...] | None:
 def _refused(guess: Pose2, prior: Prior | None, reason: str) -> MatchResult:
     covariance = _IGNORANCE if prior is None else prior.covariance
     return MatchResult(
-        guess, _NO_INFORMATION, covariance, 0, 0.0, 0.0, 0.0, None, np.inf, 0, False, reason
+        guess, _NO_INFORMATION, covariance, 0, 0.0, 0.0, 0.0, 0.0, None, np.inf, 0, False, reason
     )
 
 
 def _judge(
-    pose: Matrix, system: Matrix, references: int, iterations: int, converged: bool,
+    pose: Matrix, system: Matrix, references: int, iterations: int, last_step: float,
     guess: Pose2, prior: Prior | None, config: MatchConfig,
 ) -> MatchResult:  # fmt: skip
-    pairs = int(system[11])
+    pairs = int(system[kernels.PAIRS])
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
-    explained = system[16] / system[11]
+    explained = float(system[kernels.INLIERS] / pairs)
     information = own_information(system, references, config)
     known = _IGNORANCE if prior is None else prior.covariance
     covariance = np.linalg.inv(information + np.linalg.inv(known))
     axis, weakness = weakest_axis(information, known)
     reason = ""
-    if not converged:
+    if last_step > SETTLED * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
     elif explained < config.min_explained:
         reason = f"only {100 * explained:.0f} % of the beams fit"
     return MatchResult(
         Pose2(pose[0], pose[1], pose[2]), information, covariance, pairs, explained,
-        system[11] / max(system[15], 1.0), float(np.sqrt(system[9] / system[10])),
+        float(system[kernels.PAIRED] / system[kernels.TRIED]),
+        float(system[kernels.FITTING] / system[kernels.TRIED]),
+        float(np.sqrt(system[kernels.COST] / system[kernels.WEIGHT])),
         axis if weakness > 1.0 else None, weakness, iterations, not reason, reason,
     )  # fmt: skip
 
@@ -191,7 +197,8 @@ def own_information(system: Matrix, references: int, config: MatchConfig) -> Mat
     """
     h = system[:6]
     fisher = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
-    feigned = np.array([[system[12], system[13]], [system[13], system[14]]])
+    f = kernels.FEIGNED
+    feigned = np.array([[system[f], system[f + 1]], [system[f + 1], system[f + 2]]])
     # Each reference adds pairs of the same source beams: their noise is not averaged again.
     spread = config.range_noise**2 * config.correlation * max(references, 1)
     fisher[:2, :2] -= _no_more_than(feigned, fisher[:2, :2])

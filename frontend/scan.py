@@ -19,6 +19,8 @@ from logs.messages import LaserMount, LaserScan
 
 HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
 
+CENTRE_RANGE = 10.0  # m, farther points do not move a scan's centre
+
 VALID = 1  # the beam hit something
 LINE = 2  # and a line could be fitted there
 
@@ -55,6 +57,7 @@ class PreparedScan:
     flags: NDArray[np.uint8]  # (n,) VALID | LINE
     geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, 1 if 360 deg
     valid: int  # beams with a point
+    centre: NDArray[np.float64]  # (2,) m, mean of the nearer points: what the scan looks at
 
     @property
     def ranges(self) -> NDArray[np.float64]:
@@ -76,23 +79,25 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     farthest = min(scan.range_max, config.max_range)
     full = 1.0 if step * len(ranges) > 2 * np.pi - 1.5 * step else 0.0
     geometry = np.array([angle_min + mount.theta, step, mount.x, mount.y, full])
-    valid = place_points(ranges, geometry, nearest, farthest, points, flags)
+    centre = np.zeros(2)
+    valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
     noise, widest = config.range_noise, config.gap_ratio
     fit_lines(
         points, flags, geometry, noise, config.line_tolerance, widest, config.normal_sigma_max, lines
     )
-    for array in (points, lines, flags, geometry):
+    for array in (points, lines, flags, geometry, centre):
         array.setflags(write=False)
-    return PreparedScan(scan.stamp_ns, points, lines, flags, geometry, valid)
+    return PreparedScan(scan.stamp_ns, points, lines, flags, geometry, valid, centre)
 
 
 @njit(cache=True, nogil=True)
-def place_points(ranges, geometry, nearest, farthest, points, flags):
-    """Fill points (n, 2) and flags (n,); return how many beams are valid."""
+def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
+    """Fill points (n, 2), flags (n,) and centre (2,); return how many beams are valid."""
     angle_min, step, ox, oy = geometry[0], geometry[1], geometry[2], geometry[3]
     c, s = np.cos(angle_min), np.sin(angle_min)
     dc, ds = np.cos(step), np.sin(step)
-    valid = 0
+    valid, near = 0, 0
+    sum_x, sum_y = 0.0, 0.0
     for i in range(len(ranges)):
         r = float(ranges[i])
         if r >= nearest and r < farthest:  # false for nan and inf
@@ -100,10 +105,16 @@ def place_points(ranges, geometry, nearest, farthest, points, flags):
             points[i, 1] = oy + r * s
             flags[i] = VALID
             valid += 1
+            if r < CENTRE_RANGE:
+                near += 1
+                sum_x += points[i, 0]
+                sum_y += points[i, 1]
         else:
             points[i, 0] = np.nan
             points[i, 1] = np.nan
         c, s = c * dc - s * ds, s * dc + c * ds
+    centre[0] = sum_x / near if near else ox
+    centre[1] = sum_y / near if near else oy
     return valid
 
 

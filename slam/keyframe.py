@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from gtsam import Pose2
+
+from numpy.typing import NDArray
 
 from frontend.scan import PreparedScan
 from logs.messages import LaserScan
@@ -20,3 +24,17 @@ class Keyframe:
     prepared: PreparedScan
     odom_T_base: Pose2
     travelled_m: float  # by odometry and matches, from the first keyframe
+
+
+def view_centres(keyframes: Sequence[Keyframe], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) what each keyframe looks at, in the map frame, at poses (n, 3).
+
+    Two scans see the same things if these points are near each other, whatever the field of
+    view: with 180 degrees, two robots at one spot that face apart share nothing.
+    """
+    local = np.array([k.prepared.centre for k in keyframes])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return np.column_stack([
+        poses[:, 0] + c * local[:, 0] - s * local[:, 1],
+        poses[:, 1] + s * local[:, 0] + c * local[:, 1],
+    ])

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from backend.pose_graph import Edge, PoseGraph
 from frontend.matching import MatchConfig, Prior, Reference, match
 from frontend.scan import PreparedScan
-from slam.keyframe import Keyframe
+from slam.keyframe import Keyframe, view_centres
 
 Matrix = NDArray[np.float64]
 
@@ -30,7 +30,13 @@ class LocaliseConfig(BaseModel):
     radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
     sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
     sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
-    min_explained: float = Field(0.6, ge=0, le=1, description="below, the guess is kept")
+    min_explained: float = Field(0.6, ge=0, le=1, description="share of pairs that must fit")
+    min_quality: float = Field(
+        0.3, ge=0, le=1, description="share of beams that must fit, or the guess is kept"
+    )
+    good_quality: float = Field(
+        0.7, ge=0, le=1, description="share of beams that fit beyond which no other start is tried"
+    )
 
 
 def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
@@ -47,7 +53,8 @@ def refine_edges(
     one edge to the nearest of those that the tracking did not already use.
     """
     poses = graph.poses
-    tree = cKDTree(poses[:, :2])
+    centres = view_centres(keyframes, poses)
+    tree = cKDTree(centres)
     edges = []
     for keyframe in keyframes:
         k = keyframe.index
@@ -99,7 +106,7 @@ def warp(
 
 
 class ScanLocaliser:
-    """Finds the pose of single scans among the optimised keyframes."""
+    """Finds the pose of scans, one after the other, among the optimised keyframes."""
 
     def __init__(
         self, keyframes: Sequence[Keyframe], poses: Matrix, config: LocaliseConfig,
@@ -107,15 +114,37 @@ class ScanLocaliser:
     ) -> None:  # fmt: skip
         self._keyframes = keyframes
         self._poses = [Pose2(*pose) for pose in poses]
-        self._tree = cKDTree(poses[:, :2])
+        self._tree = cKDTree(view_centres(keyframes, poses))
         self._config = config
         self._matcher = matcher
+        self._last: tuple[Pose2, Pose2] | None = None  # guess and result of the scan before
         self.matches = 0
 
     def locate(self, scan: PreparedScan, guess: Pose2) -> Pose2:
-        """map_T_base of a scan; the guess where the match is refused."""
+        """map_T_base of the next scan; the guess where nothing better is found.
+
+        Where the odometry lies between two keyframes the guess is off by more than it should:
+        then the search starts again from where the last scan was found.
+        """
+        starts = [guess]
+        if self._last is not None:
+            last_guess, last_found = self._last
+            starts += [last_found * last_guess.between(guess), last_found]
+        best, best_quality = guess, self._config.min_quality
+        for start in starts:
+            found, quality = self._match(scan, start)
+            if quality > best_quality:
+                best, best_quality = found, quality
+            if best_quality >= self._config.good_quality:
+                break
+        self._last = guess, best
+        return best
+
+    def _match(self, scan: PreparedScan, guess: Pose2) -> tuple[Pose2, float]:
+        """The matched pose and its quality, 0 where it is refused."""
         count = min(self._config.neighbours, len(self._poses))
-        near = np.atleast_1d(self._tree.query([guess.x(), guess.y()], k=count)[1])
+        looks_at = guess.transformFrom(scan.centre)
+        near = np.atleast_1d(self._tree.query(looks_at, k=count)[1])
         base = self._poses[int(near[0])]
         references = [
             Reference(base.between(self._poses[int(n)]), self._keyframes[int(n)].prepared)
@@ -125,5 +154,8 @@ class ScanLocaliser:
         result = match(references, scan, prior.target_T_source, self._matcher, prior)
         self.matches += 1
         if not result.converged or result.explained < self._config.min_explained:
-            return guess
-        return base * result.target_T_source
+            return guess, 0.0
+        error = np.abs(Pose2.Logmap(prior.target_T_source.between(result.target_T_source)))
+        if (error > 3.0 * np.sqrt(np.diag(prior.covariance))).any():
+            return guess, 0.0
+        return base * result.target_T_source, result.quality

@@ -17,7 +17,7 @@ from frontend.loop_search import Closure, LoopSearchConfig, close_loop, target_f
 from frontend.matching import MatchConfig, Reference
 from frontend.scan import PreparedScan
 from logs.messages import LoopVerdict
-from slam.keyframe import Keyframe
+from slam.keyframe import Keyframe, view_centres
 
 
 class LoopConfig(BaseModel):
@@ -28,7 +28,7 @@ class LoopConfig(BaseModel):
     enabled: bool = Field(True, description="search for loops at all")
     every_m: float = Field(1.0, gt=0, description="m travelled between searches")
     min_path_m: float = Field(8.0, gt=0, description="m of path before a place counts as old")
-    view_m: float = Field(6.0, gt=0, description="m within which two scans see the same things")
+    view_m: float = Field(4.0, gt=0, description="m between what two scans look at, if they overlap")
     places: int = Field(3, ge=1, description="distinct places tried per search")
     places_apart_m: float = Field(3.0, gt=0, description="m between two such places")
     query_keyframes: int = Field(4, ge=1, description="latest keyframes that form the query")
@@ -95,25 +95,23 @@ class LoopCloser:
         ]  # fmt: skip
         if not old:
             return []
-        here = graph.poses[newest.index, :2]
+        centres = view_centres([*(keyframes[k] for k in old), newest], graph.poses[[*old, newest.index]])
+        here = centres[-1]
         sigma = float(np.sqrt(np.linalg.eigvalsh(graph.marginal(newest.index)[:2, :2])[-1]))
         reach = min(3 * sigma, self.config.search.max_reach) + self.config.view_m
-        tree = cKDTree(graph.poses[old, :2])
+        tree = cKDTree(centres[:-1])
         near = sorted(
             tree.query_ball_point(here, reach),
-            key=lambda k: (float(np.hypot(*(graph.poses[old[k], :2] - here))), k),
+            key=lambda k: (float(np.hypot(*(centres[k] - here))), k),
         )
         chosen: list[int] = []
         for k in near:
-            at = graph.poses[old[k], :2]
-            if all(
-                np.hypot(*(graph.poses[other, :2] - at)) > self.config.places_apart_m
-                for other in chosen
-            ):
-                chosen.append(old[k])
+            apart = [np.hypot(*(centres[other] - centres[k])) for other in chosen]
+            if all(distance > self.config.places_apart_m for distance in apart):
+                chosen.append(k)
             if len(chosen) == self.config.places:
                 break
-        return chosen
+        return [old[k] for k in chosen]
 
     def _submap(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: range, origin: int

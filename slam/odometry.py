@@ -27,12 +27,15 @@ class OdometryConfig(BaseModel):
     rot_per_rad: float = Field(0.10, ge=0, description="rad of sigma per radian turned")
     trans_floor: float = Field(0.005, gt=0, description="m, sigma of a step of no length")
     rot_floor: float = Field(0.005, gt=0, description="rad, sigma of a step of no length")
+    sync: float = Field(
+        0.05, ge=0, description="s by which odometry and scan may disagree on what time it is"
+    )
     max_speed: float = Field(
         2.2, gt=0, description="m/s, the P3-DX's absolute maximum; faster is a lie"
     )
     max_turn_rate: float = Field(5.2, gt=0, description="rad/s, likewise (300 deg/s)")
 
-    def covariance(self, distance: float, turn: float) -> NDArray[np.float64]:
+    def covariance(self, distance: float, turn: float, seconds: float) -> NDArray[np.float64]:
         """(3, 3) of (x, y, theta) of a step, in the frame where it ends.
 
         Args:

@@ -6,9 +6,12 @@ No file, device, clock, thread or print in here: equal messages give equal graph
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from gtsam import Pose2
+from numpy.typing import NDArray
 
 from backend.pose_graph import Edge, PoseGraph
 from frontend.keyframes import Interval, interval_after, reason_to_keep
@@ -30,7 +33,21 @@ from slam.odometry import OdometryBuffer
 from slam.tracking import Tracked, track
 
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
+MOST_BETWEEN = 64  # scans kept between two keyframes
 MAX_WAIT_NS = 1_000_000_000  # a scan waits this long (in message time) for odometry after it
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Sighting:
+    """A scan with its odometry, and how far the wheels had come by then."""
+
+    scan: LaserScan
+    index: int  # among the scans of the log
+    odom_T_base: Pose2
+    path_m: float  # since the start of the log, by odometry
+    path_rad: float
+    speed: float  # m/s of the step that led here
+    turn_rate: float  # rad/s
 
 
 class Slam:
@@ -41,7 +58,6 @@ class Slam:
         self.keyframes: list[Keyframe] = []
         self.scan_stamps_ns: list[int] = []
         self.odom_poses: list[tuple[float, float, float]] = []  # odom_T_base of each scan
-        self.scan_keyframes: list[int] = []  # the keyframe before each scan
         self.decisions: list[KeyframeDecision] = []
         self.factors: list[FactorRecord] = []
         self.estimates: list[PoseEstimate] = []
@@ -52,11 +68,11 @@ class Slam:
         self.loops = LoopCloser(config.loops, config.matcher)
         self._odometry = OdometryBuffer()
         self._pending: deque[LaserScan] = deque()
+        self._unbroken = 0  # keyframes from here on are tied together by matches
         self._interval = Interval(0.0, None)
-        self._path_m = 0.0  # by odometry, since the last keyframe
-        self._path_rad = 0.0
-        self._peak_speed = 0.0  # m/s and rad/s, the fastest single step since the last keyframe
-        self._peak_rate = 0.0
+        self._latest: _Sighting | None = None
+        self._kept: _Sighting | None = None  # the last keyframe's
+        self._between: list[_Sighting] = []  # scans since then
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
 
     def step(self, message: Message) -> None:
@@ -95,88 +111,125 @@ class Slam:
             return
         if not np.isfinite(scan.ranges).any():
             self.lost["scan without any return"] += 1
-        self._measure_path(scan, odom_T_base)
+        sighting = self._sight(scan, odom_T_base)
         self.scan_stamps_ns.append(scan.stamp_ns)
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
-        self._consider(scan, odom_T_base)
-        self.scan_keyframes.append(len(self.keyframes) - 1)
+        self._latest = sighting
+        self._consider(sighting)
 
-    def _measure_path(self, scan: LaserScan, odom_T_base: Pose2) -> None:
-        if not self.odom_poses:
-            return
-        step = Pose2(*self.odom_poses[-1]).between(odom_T_base)
-        seconds = max((scan.stamp_ns - self.scan_stamps_ns[-1]) * 1e-9, 1e-3)
-        length, turn = float(np.hypot(step.x(), step.y())), abs(step.theta())
-        self._path_m += length
-        self._path_rad += turn
+    def _sight(self, scan: LaserScan, odom_T_base: Pose2) -> _Sighting:
+        index = len(self.scan_stamps_ns)
+        last = self._latest
+        if last is None:
+            return _Sighting(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
+        step = last.odom_T_base.between(odom_T_base)
         # Stamps jitter by more than the time between them in some logs.
-        seconds += STAMP_JITTER_S
-        self._peak_speed = max(self._peak_speed, length / seconds)
-        self._peak_rate = max(self._peak_rate, turn / seconds)
+        seconds = (scan.stamp_ns - last.scan.stamp_ns) * 1e-9 + STAMP_JITTER_S
+        length, turn = float(np.hypot(step.x(), step.y())), abs(step.theta())
+        return _Sighting(
+            scan, index, odom_T_base, last.path_m + length, last.path_rad + turn,
+            length / seconds, turn / seconds,
+        )  # fmt: skip
 
-    def _consider(self, scan: LaserScan, odom_T_base: Pose2) -> None:
-        if not self.keyframes:
-            prepared = prepare(scan, self.mount, self.config.scan)
-            if prepared.valid < self.config.matcher.min_pairs:
-                return
-            self._begin(scan, prepared, odom_T_base)
+    def _consider(self, sighting: _Sighting) -> None:
+        """Make the scan a keyframe, or let it wait among those between two keyframes."""
+        if self._kept is None:
+            prepared = prepare(sighting.scan, self.mount, self.config.scan)
+            if prepared.valid >= self.config.matcher.min_pairs:
+                self._begin(sighting, prepared)
             return
-        last = self.keyframes[-1]
-        moved = last.odom_T_base.between(odom_T_base)
-        seconds = (scan.stamp_ns - last.scan.stamp_ns) * 1e-9
-        scans = len(self.scan_stamps_ns) - 1 - last.scan_index
+        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
+        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
+        scans = sighting.index - self._kept.index
         reason = reason_to_keep(moved, scans, seconds, self._interval, self.config.keyframes)
-        if not reason:
+        if reason:
+            self._advance(sighting, reason, self._between)
             return
-        prepared = prepare(scan, self.mount, self.config.scan)
+        self._between.append(sighting)
+        if len(self._between) > MOST_BETWEEN:  # the robot stands still: keep every other one
+            self._between = self._between[::2]
+
+    def _begin(self, sighting: _Sighting, prepared: PreparedScan) -> None:
+        self.graph = PoseGraph(Pose2(), self.config.graph)
+        self._record_decision(sighting.scan, sighting.index, "first", Pose2(), None)
+        self._keep(sighting, prepared, 0.0)
+
+    def _advance(self, sighting: _Sighting, reason: str, between: Sequence[_Sighting]) -> None:
+        """Add a keyframe; where match and odometry quarrel, go there by a scan in between.
+
+        A shorter interval has more overlap and less odometry: halving it until both agree, or
+        no scan is left between, is what keeps the track when the odometry lies.
+        """
+        prepared = prepare(sighting.scan, self.mount, self.config.scan)
         if prepared.valid < self.config.matcher.min_pairs:
             self.lost["keyframe postponed: scan too empty"] += 1
             return
-        self._extend(scan, prepared, odom_T_base, moved, seconds, reason)
-
-    def _begin(self, scan: LaserScan, prepared: PreparedScan, odom_T_base: Pose2) -> None:
-        self.graph = PoseGraph(Pose2(), self.config.graph)
-        self._record_decision(scan, "first", Pose2(), None)
-        self._keep(scan, prepared, odom_T_base, 0.0)
+        tracked = self._track(sighting, prepared, between)
+        self.matches += 1
+        if between and not (tracked.odometry_trusted and tracked.match_trusted):
+            middle = len(between) // 2
+            self._advance(between[middle], "halved", between[:middle])
+            self._advance(sighting, reason, between[middle + 1 :])
+            return
+        self._extend(sighting, prepared, tracked, reason)
 
     def _extend(
-        self, scan: LaserScan, prepared: PreparedScan, odom_T_base: Pose2, moved: Pose2,
-        seconds: float, reason: str,
-    ) -> None:  # fmt: skip
+        self, sighting: _Sighting, prepared: PreparedScan, tracked: Tracked, reason: str
+    ) -> None:
+        """Put a tracked keyframe into the graph and look for loops."""
         assert self.graph is not None
-        tracked = self._track(prepared, moved, seconds)
-        self.matches += 1
-        last = self.keyframes[-1]
+        assert self._kept is not None
         new = len(self.keyframes)
+        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
+        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
+        if not tracked.match_trusted:
+            self._unbroken = new
         step = tracked.result.target_T_source if tracked.match_trusted else moved
-        edges = self._edges(scan, tracked, moved, new)
-        self.graph.add_keyframe(self.graph.pose(last.index) * step, edges)
-        self._record_decision(scan, reason, moved, tracked)
+        edges = self._edges(sighting, tracked, moved, new)
+        self.graph.add_keyframe(self.graph.pose(new - 1) * step, edges)
+        self._record_decision(sighting.scan, sighting.index, reason, moved, tracked)
         self._last_step = (step, seconds)
-        self._keep(scan, prepared, odom_T_base, float(np.hypot(step.x(), step.y())))
+        self._keep(sighting, prepared, float(np.hypot(step.x(), step.y())))
+        stamp_ns = sighting.scan.stamp_ns
         closures = self.loops.close(self.keyframes, self.graph)
         if closures:
             self.graph.add_edges(closures)
             self.loops.moved()
             for edge in closures:
-                self._record_edge(scan.stamp_ns, edge, True, "")
-        self._record_estimate(scan.stamp_ns, tracked.lost)
+                self._record_edge(stamp_ns, edge, True, "")
+        self._record_estimate(stamp_ns, tracked.lost)
 
-    def _track(self, prepared: PreparedScan, moved: Pose2, seconds: float) -> Tracked:
+    def _track(
+        self, sighting: _Sighting, prepared: PreparedScan, between: Sequence[_Sighting]
+    ) -> Tracked:
         assert self.graph is not None
-        last = self.keyframes[-1]
-        base = self.graph.pose(last.index)
+        assert self._kept is not None
+        count = self.config.tracking.references
+        base = self.graph.pose(self.keyframes[-1].index)
         references = [
             Reference(base.between(self.graph.pose(k.index)), k.prepared)
-            for k in self.keyframes[-self.config.tracking.references :]
+            for k in self.keyframes[max(self._unbroken, len(self.keyframes) - count) :]
         ]
-        covariance = self.config.odometry.covariance(self._path_m, self._path_rad)
+        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
+        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
         limits = self.config.odometry
-        plausible = self._peak_speed <= limits.max_speed and self._peak_rate <= limits.max_turn_rate
+        plausible = all(
+            step.speed <= limits.max_speed and step.turn_rate <= limits.max_turn_rate
+            for step in (*between, sighting)
+        )
         return track(
-            references, prepared, Prior(moved, covariance), self._alternatives(moved, seconds),
-            plausible, self.config.tracking, self.config.matcher,
+            references, prepared, Prior(moved, self._odometry_covariance(sighting)),
+            self._alternatives(moved, seconds), plausible, self.config.tracking,
+            self.config.matcher,
         )  # fmt: skip
+
+    def _odometry_covariance(self, sighting: _Sighting) -> NDArray[np.float64]:
+        assert self._kept is not None
+        return self.config.odometry.covariance(
+            sighting.path_m - self._kept.path_m,
+            sighting.path_rad - self._kept.path_rad,
+            (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9,
+        )
 
     def _alternatives(self, moved: Pose2, seconds: float) -> list[tuple[str, Pose2]]:
         """Where else to start a match when odometry looks wrong."""
@@ -192,13 +245,15 @@ class Slam:
             starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
         return starts
 
-    def _edges(self, scan: LaserScan, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
+    def _edges(
+        self, sighting: _Sighting, tracked: Tracked, moved: Pose2, new: int
+    ) -> list[Edge]:
         """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
-        covariance = self.config.odometry.covariance(self._path_m, self._path_rad)
+        covariance = self._odometry_covariance(sighting)
         note = tracked.note
-        if tracked.lost:  # widened: say that little is known
+        if not tracked.match_trusted:  # nothing vouches for the odometry: say that little is known
             covariance = covariance * self.config.lost_inflation**2
-            note = f"lost: {tracked.note}"
+            note = f"lost: {note}" if tracked.lost else note
         odometry = Edge("odometry", new - 1, new, moved, np.linalg.inv(covariance))
         result = tracked.result
         matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
@@ -209,22 +264,23 @@ class Slam:
         ):
             if used:
                 edges.append(edge)
-            self._record_edge(scan.stamp_ns, edge, used, note if not used or tracked.lost else "")
+            self._record_edge(sighting.scan.stamp_ns, edge, used, note)
         return edges
 
-    def _keep(
-        self, scan: LaserScan, prepared: PreparedScan, odom_T_base: Pose2, step_m: float
-    ) -> None:
+    def _keep(self, sighting: _Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)
-        index = len(self.scan_stamps_ns) - 1
         self.keyframes.append(
-            Keyframe(len(self.keyframes), index, scan, prepared, odom_T_base, travelled)
+            Keyframe(
+                len(self.keyframes), sighting.index, sighting.scan, prepared,
+                sighting.odom_T_base, travelled,
+            )  # fmt: skip
         )
         self._interval = interval_after(prepared, self.config.keyframes)
-        self._path_m = self._path_rad = self._peak_speed = self._peak_rate = 0.0
+        self._kept = sighting
+        self._between = []
 
     def _record_decision(
-        self, scan: LaserScan, reason: str, moved: Pose2, tracked: Tracked | None
+        self, scan: LaserScan, index: int, reason: str, moved: Pose2, tracked: Tracked | None
     ) -> None:
         complexity = self._interval.complexity
         sigmas: tuple[float, ...] = ()
@@ -232,17 +288,11 @@ class Slam:
             sigmas = tracked.result.sigmas
         self.decisions.append(
             KeyframeDecision(
-                scan.stamp_ns,
-                len(self.keyframes),
-                len(self.scan_stamps_ns) - 1,
-                reason,
-                "",
-                float(np.hypot(moved.x(), moved.y())),
-                abs(moved.theta()),
+                scan.stamp_ns, len(self.keyframes), index, reason, "",
+                float(np.hypot(moved.x(), moved.y())), abs(moved.theta()),
                 float(self._interval.length),
                 complexity.t_pe if complexity else float("nan"),
-                complexity.sums if complexity else (),
-                sigmas,
+                complexity.sums if complexity else (), sigmas,
             )  # fmt: skip
         )
 

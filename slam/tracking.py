@@ -10,6 +10,8 @@ from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import chi2
 
+from frontend.correlative import CorrelativeConfig, Window, search, thin
+from frontend.loop_search import submap_points, target_field
 from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import PreparedScan
 
@@ -26,8 +28,15 @@ class TrackingConfig(BaseModel):
     false_alarm: float = Field(
         1e-4, gt=0, lt=1, description="how often honest odometry may be called a liar"
     )
+    search: CorrelativeConfig = CorrelativeConfig()
+    search_reach: float = Field(1.0, gt=0, description="m, half width of the search when in doubt")
+    search_turn: float = Field(0.8, gt=0, description="rad, likewise")
+    search_score: float = Field(0.4, ge=0, le=1, description="least mean likelihood of such a find")
     margin: float = Field(
         1.05, ge=1, description="by how much another start must explain the scan better"
+    )
+    good_quality: float = Field(
+        0.45, ge=0, le=1, description="share of beams paired and explained, below which to search"
     )
     min_quality: float = Field(
         0.25, ge=0, le=1, description="share of beams paired and explained, below which all is lost"
@@ -61,11 +70,6 @@ def disagreement(result: MatchResult, prior: Prior) -> float:
     return float(error @ weight @ error)
 
 
-def quality(result: MatchResult) -> float:
-    """Share of the beams that were paired and fit; 0 for a refused match."""
-    return result.explained * result.overlap if result.converged else 0.0
-
-
 def track(
     references: Sequence[Reference],
     source: PreparedScan,
@@ -86,17 +90,23 @@ def track(
         config: thresholds.
         matcher: of the scan matcher.
     """
-    limit = chi2.isf(config.false_alarm, 3)
+    limit = float(chi2.isf(config.false_alarm, 3))
     first = match(references, source, prior.target_T_source, matcher, prior)
     agreed = first.converged and disagreement(first, prior) < limit
-    if plausible and agreed and first.explained >= config.good_explained:
+    good = first.explained >= config.good_explained and first.quality >= config.good_quality
+    if plausible and agreed and good:
         return Tracked(first, True, True, "")
     best, start = first, "odometry"
-    for name, guess in alternatives:
-        other = match(references, source, guess, matcher)
-        if quality(other) > config.margin * quality(best):
+    for name, guess in [("odometry", prior.target_T_source), *alternatives]:
+        other = _match_last(references, source, guess, matcher, config)
+        if _quality(other) > config.margin * _quality(best):
             best, start = other, name
-    if quality(best) < config.min_quality:
+    if _quality(best) < config.good_quality:
+        for guess in _searched(references, source, prior, config):
+            other = _match_last(references, source, guess, matcher, config)
+            if _quality(other) > config.margin * _quality(best):
+                best, start = other, "a search"
+    if _quality(best) < config.min_quality:
         note = f"match refused: {best.reason or 'too few beams explained'}"
         return Tracked(best, plausible, False, note)
     distance = disagreement(best, prior)
@@ -104,3 +114,39 @@ def track(
         return Tracked(best, True, True, "")
     cause = f"chi-square {distance:.0f}" if plausible else "faster than the robot can move"
     return Tracked(best, False, True, f"odometry refused: {cause}; matched from {start}")
+
+
+def _quality(result: MatchResult) -> float:
+    return result.quality if result.converged else 0.0
+
+
+def _match_last(
+    references: Sequence[Reference], source: PreparedScan, guess: Pose2, matcher: MatchConfig,
+    config: TrackingConfig,
+) -> MatchResult:  # fmt: skip
+    """Match without a prior, first against the last keyframe alone.
+
+    Older keyframes may stand wrong with respect to it; they join in if they agree.
+    """
+    alone = match(references[-1:], source, guess, matcher)
+    if not alone.converged or len(references) == 1:
+        return alone
+    seed = Prior(alone.target_T_source, np.diag([0.05, 0.05, 0.03]) ** 2)
+    joint = match(references, source, alone.target_T_source, matcher, seed)
+    good = joint.converged and joint.explained >= config.good_explained
+    return joint if good and joint.quality >= alone.quality else alone
+
+
+def _searched(
+    references: Sequence[Reference], source: PreparedScan, prior: Prior, config: TrackingConfig
+) -> list[Pose2]:
+    """Where a correlative search about the last keyframe and the odometry's step finds the scan."""
+    field = target_field([(r.target_T_scan, r.scan) for r in references[-3:]], config.search)
+    cloud = submap_points([(Pose2(), source)])
+    near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.search.max_range
+    points = thin(cloud[near], config.search.resolution, config.search.max_points)
+    moved = prior.target_T_source
+    reach = config.search_reach + 0.5 * float(np.hypot(moved.x(), moved.y()))
+    halfway = Pose2(0.5 * moved.x(), 0.5 * moved.y(), moved.theta())
+    found = search(field, points, Window(halfway, reach, config.search_turn), config.search_score)
+    return [] if found is None else [found.target_T_query]
