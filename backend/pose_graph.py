@@ -45,7 +45,7 @@ class PoseGraph:
     def __init__(self, map_T_first: Pose2, config: GraphConfig) -> None:
         self.config = config
         self.edges: list[Edge] = []
-        self._slots: list[int] = []  # ISAM2's index of each edge, -1 once withdrawn
+        self.loop_weights: dict[int, float] = {}  # of the last GNC run: index into edges
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(config.relinearise_threshold)
         parameters.relinearizeSkip = config.relinearise_skip
@@ -110,21 +110,27 @@ class PoseGraph:
     def add_edges_batch(self, edges: Sequence[Edge]) -> None:
         """Add edges that only the next batch optimisation shall see; ISAM2 stays as it is."""
         self.edges += edges
-        self._slots += [-1] * len(edges)
 
-    def withdraw(self, edge: Edge) -> None:
-        """Take an edge back out and update every pose."""
-        index = next(k for k, known in enumerate(self.edges) if known is edge)
-        self._isam.update(
-            gtsam.NonlinearFactorGraph(), gtsam.Values(), [self._slots[index]]
-        )
-        del self.edges[index], self._slots[index]
-        self._refresh(self._isam.calculateEstimate())
+    def drop(self, edge: Edge) -> None:
+        """Leave an edge out of all further batch optimisation.
+
+        Raises:
+            GraphError: it is not in the graph.
+        """
+        index = next((k for k, known in enumerate(self.edges) if known is edge), None)
+        if index is None:
+            raise GraphError(f"{edge.kind} edge {edge.i}-{edge.j} is not in the graph")
+        del self.edges[index]
 
     def marginal(self, k: int) -> Matrix:
         """(3, 3) covariance of map_T_k in its own frame."""
         covariance: Matrix = self._isam.marginalCovariance(X(k))
         return covariance
+
+    def marginals(self) -> Matrix:
+        """(n, 3, 3) covariance of every map_T_k in its own frame, from the batch graph."""
+        marginals = gtsam.Marginals(self._graph(self.edges, robust=True), self._values())
+        return np.array([marginals.marginalCovariance(X(k)) for k in range(self._count)])
 
     def relative(self, i: int, j: int) -> tuple[Pose2, Matrix]:
         """Estimate of i_T_j and its (3, 3) covariance in frame j, from the joint marginal."""
@@ -138,18 +144,19 @@ class PoseGraph:
 
         Loops are weighed by graduated non-convexity (Yang et al. 2020) where configured: it
         recovers from false loops that a robust kernel started at the wrong place does not.
+        Loops that end with less than half their weight are left out of the last step.
         """
         values = self._values()
         loops = [k for k, edge in enumerate(self.edges) if edge.kind == "loop"]
+        self.loop_weights = dict.fromkeys(loops, 1.0)
         if self.config.gnc and loops:
             values, weights = self._optimise_gnc(values, loops)
             self.loop_weights = {loop: float(weights[loop + 1]) for loop in loops}
-        graph = self._graph(robust=True)
+        believed = [e for k, e in enumerate(self.edges) if self.loop_weights.get(k, 1.0) >= 0.5]
+        graph = self._graph(believed, robust=True)
         values = gtsam.LevenbergMarquardtOptimizer(graph, values, self._lm()).optimize()
         self._refresh(values)
         return self.poses.copy()
-
-    loop_weights: dict[int, float]  # of the last GNC run: index into edges -> weight
 
     def _optimise_gnc(
         self, values: gtsam.Values, loops: list[int]
@@ -160,7 +167,7 @@ class PoseGraph:
         # Factor 0 is the prior; factor k + 1 is edge k.
         inliers = [0] + [k + 1 for k in range(len(self.edges)) if k not in suspects]
         parameters.setKnownInliers(inliers)
-        optimiser = gtsam.GncLMOptimizer(self._graph(robust=False), values, parameters)
+        optimiser = gtsam.GncLMOptimizer(self._graph(self.edges, robust=False), values, parameters)
         return optimiser.optimize(), optimiser.getWeights()
 
     @staticmethod
@@ -174,6 +181,7 @@ class PoseGraph:
         gaussian = gtsam.noiseModel.Gaussian.Information(self.weight(edge))
         if not robust:
             return gaussian
+        kernel: gtsam.noiseModel.mEstimator.Base
         estimators = gtsam.noiseModel.mEstimator
         if edge.kind == "icp":
             kernel = estimators.Huber.Create(self.config.icp_kernel)
@@ -191,7 +199,7 @@ class PoseGraph:
         # (C + S^2)^-1 = (I + H S^2)^-1 H, written symmetrically; H may be blind on an axis.
         scaled = edge.information * np.outer(sigma, sigma)
         values, vectors = np.linalg.eigh(scaled)
-        shrunk = edge.information * 0.0 + (vectors * (values / (1.0 + values))) @ vectors.T
+        shrunk = (vectors * (values / (1.0 + values))) @ vectors.T
         if not (sigma > 0).all():
             return edge.information
         weight: Matrix = shrunk / np.outer(sigma, sigma)
@@ -201,10 +209,10 @@ class PoseGraph:
         noise = self._noise(edge, robust)
         return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
 
-    def _graph(self, robust: bool) -> gtsam.NonlinearFactorGraph:
+    def _graph(self, edges: Sequence[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()
         graph.add(gtsam.PriorFactorPose2(X(0), self._first, self._anchor))
-        for edge in self.edges:
+        for edge in edges:
             graph.add(self._factor(edge, robust))
         return graph
 
@@ -212,8 +220,7 @@ class PoseGraph:
         graph = gtsam.NonlinearFactorGraph()
         for edge in edges:
             graph.add(self._factor(edge, robust=True))
-        result = self._isam.update(graph, values)
-        self._slots += list(result.getNewFactorsIndices())
+        self._isam.update(graph, values)
         self.edges += edges
 
     def _values(self) -> gtsam.Values:

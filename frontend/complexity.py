@@ -54,9 +54,7 @@ def layered_sums(layers: Sequence[Profile]) -> WallSums:
     if not layers:
         return WallSums(0.0, 0.0)
     sums = [wall_sums(layer) for layer in layers]
-    return WallSums(
-        float(np.mean([s.diff for s in sums])), float(np.mean([s.diff2 for s in sums]))
-    )
+    return WallSums(float(np.mean([s.diff for s in sums])), float(np.mean([s.diff2 for s in sums])))
 
 
 def object_score(layers: Sequence[Profile], radius: float, c1: float, c2: float) -> float:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from gtsam import Pose2
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+
+from frontend.correlative_kernels import block_maximum, branch_and_bound, stamp
 
 Matrix = NDArray[np.float64]
 
@@ -63,9 +64,9 @@ def build_field(points: Matrix, config: CorrelativeConfig) -> LikelihoodField:
     low, high = points.min(axis=0) - pad, points.max(axis=0) + pad
     shape = np.ceil((high - low) / config.resolution).astype(np.int64) + 1
     levels = np.zeros((config.levels, shape[1], shape[0]), dtype=np.float32)
-    _stamp(points, low, config.resolution, config.smoothing, levels[0])
+    stamp(points, low, config.resolution, config.smoothing, levels[0])
     for level in range(1, config.levels):
-        _block_maximum(levels[level - 1], 1 << (level - 1), levels[level])
+        block_maximum(levels[level - 1], 1 << (level - 1), levels[level])
     return LikelihoodField(levels, low, config.resolution)
 
 
@@ -98,7 +99,7 @@ def search(
     y0 = (window.centre.y() - field.origin[1]) / res
     best = np.zeros(4)
     nothing = np.array([0.0, 0.0, -1.0])
-    found = _branch_and_bound(
+    found = branch_and_bound(
         field.levels, points / res, angles, x0, y0, cells, min_score, nothing, best
     )
     if not found:
@@ -107,125 +108,10 @@ def search(
     excluded = np.array([best[1], best[2], apart / res])
     # Only a rival that comes near the best is of interest.
     threshold = 0.7 * best[0]
-    rival = _branch_and_bound(
+    rival = branch_and_bound(
         field.levels, points / res, angles, x0, y0, cells, threshold, excluded, second
     )
     pose = Pose2(
         window.centre.x() + best[1] * res, window.centre.y() + best[2] * res, float(best[3])
     )
     return Found(pose, float(best[0]), float(second[0]) if rival else 0.0)
-
-
-@njit(cache=True, nogil=True)
-def _stamp(points, low, resolution, smoothing, grid):
-    """Write each point's likelihood into the cells around it, keeping the maximum."""
-    reach = int(np.ceil(3.0 * smoothing / resolution))
-    rows, columns = grid.shape
-    for k in range(len(points)):
-        px = (points[k, 0] - low[0]) / resolution
-        py = (points[k, 1] - low[1]) / resolution
-        cx, cy = int(px), int(py)
-        for y in range(max(0, cy - reach), min(rows, cy + reach + 1)):
-            for x in range(max(0, cx - reach), min(columns, cx + reach + 1)):
-                dx, dy = (x + 0.5 - px) * resolution, (y + 0.5 - py) * resolution
-                value = np.exp(-0.5 * (dx * dx + dy * dy) / (smoothing * smoothing))
-                if value > grid[y, x]:
-                    grid[y, x] = value
-
-
-@njit(cache=True, nogil=True)
-def _block_maximum(finer, shift, coarser):
-    """coarser[y, x] = maximum of finer over the block that begins at (y, x) and is twice as wide."""
-    rows, columns = finer.shape
-    for y in range(rows):
-        for x in range(columns):
-            value = finer[y, x]
-            if x + shift < columns:
-                value = max(value, finer[y, x + shift])
-            if y + shift < rows:
-                value = max(value, finer[y + shift, x])
-                if x + shift < columns:
-                    value = max(value, finer[y + shift, x + shift])
-            coarser[y, x] = value
-
-
-@njit(cache=True, nogil=True)
-def _score(grid, block, xs, ys, dx, dy):
-    """Mean of the grid at the points shifted by (dx, dy) cells; blocks reach beyond the edge."""
-    rows, columns = grid.shape
-    total = 0.0
-    for k in range(len(xs)):
-        x, y = xs[k] + dx, ys[k] + dy
-        if x >= columns or y >= rows or x <= -block or y <= -block:
-            continue
-        # A block that begins before the first cell still covers it: its maximum is not larger
-        # than that of the block of the same size at the edge.
-        total += grid[max(y, 0), max(x, 0)]
-    return total / len(xs)
-
-
-@njit(cache=True, nogil=True)
-def _branch_and_bound(levels, points, angles, x0, y0, cells, min_score, excluded, best):
-    """Depth-first over blocks, the most promising first; fills best (score, dx, dy, angle).
-
-    `excluded` is (dx, dy, radius) in cells: poses nearer than radius do not count.
-    """
-    top = len(levels) - 1
-    block = 1 << top
-    per_axis = (2 * cells) // block + 1
-    count = len(angles) * per_axis * per_axis
-    n = len(points)
-    xs = np.empty((len(angles), n), dtype=np.int64)
-    ys = np.empty((len(angles), n), dtype=np.int64)
-    bounds = np.empty(count)
-    for a in range(len(angles)):
-        c, s = np.cos(angles[a]), np.sin(angles[a])
-        for k in range(n):
-            xs[a, k] = int(np.floor(c * points[k, 0] - s * points[k, 1] + x0))
-            ys[a, k] = int(np.floor(s * points[k, 0] + c * points[k, 1] + y0))
-        for iy in range(per_axis):
-            for ix in range(per_axis):
-                node = (a * per_axis + iy) * per_axis + ix
-                bounds[node] = _score(
-                    levels[top], block, xs[a], ys[a], ix * block - cells, iy * block - cells
-                )
-    order = np.argsort(-bounds, kind="mergesort")
-    best[0] = min_score
-    found = False
-    stack = np.empty((4 * (top + 1) + 4, 4))  # bound, level, dx, dy
-    radius2 = excluded[2] * excluded[2] if excluded[2] > 0.0 else -1.0
-    for node in order:
-        if bounds[node] <= best[0]:
-            break
-        a = node // (per_axis * per_axis)
-        rest = node % (per_axis * per_axis)
-        stack[0, 0], stack[0, 1] = bounds[node], top
-        stack[0, 2] = (rest % per_axis) * block - cells
-        stack[0, 3] = (rest // per_axis) * block - cells
-        size = 1
-        while size > 0:
-            size -= 1
-            bound, level = stack[size, 0], int(stack[size, 1])
-            dx, dy = int(stack[size, 2]), int(stack[size, 3])
-            if bound <= best[0]:
-                continue
-            if level == 0:
-                ex, ey = dx - excluded[0], dy - excluded[1]
-                if abs(dx) <= cells and abs(dy) <= cells and ex * ex + ey * ey > radius2:
-                    best[0], best[1], best[2], best[3] = bound, dx, dy, angles[a]
-                    found = True
-                continue
-            half = 1 << (level - 1)
-            begin = size
-            for child in range(4):
-                cx, cy = dx + (child & 1) * half, dy + (child >> 1) * half
-                value = _score(levels[level - 1], half, xs[a], ys[a], cx, cy)
-                if value <= best[0]:
-                    continue
-                at = size  # insertion keeps the best child on top of the stack
-                while at > begin and stack[at - 1, 0] > value:
-                    stack[at] = stack[at - 1]
-                    at -= 1
-                stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = value, level - 1, cx, cy
-                size += 1
-    return found

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-VALID = 1
-LINE = 2
+from frontend.scan_kernels import LINE, VALID
 
 # Layout of the sums that one pass fills: H (upper triangle, 6), g (3), and then
 COST = 9  # robust squared residuals
@@ -34,7 +33,9 @@ def bearing_of(y, x):
     t = small / big
     t2 = t * t
     # Odd minimax polynomial of atan on [0, 1].
-    angle = t * (0.9998660 + t2 * (-0.3302995 + t2 * (0.1801410 + t2 * (-0.0851330 + t2 * 0.0208351))))
+    angle = t * (
+        0.9998660 + t2 * (-0.3302995 + t2 * (0.1801410 + t2 * (-0.0851330 + t2 * 0.0208351)))
+    )
     if ay > ax:
         angle = 0.5 * np.pi - angle
     if x < 0.0:
@@ -90,9 +91,23 @@ def nearest_beam(px, py, points, flags, first, n, geometry, gate2):
 
 @njit(cache=True, nogil=True)
 def accumulate(
-    source_points, source_lines, source_flags, stride,
-    points, lines, flags, starts, geometries, poses,
-    x, y, theta, gate, scale, transforms, system,
+    source_points,
+    source_lines,
+    source_flags,
+    stride,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    poses,
+    x,
+    y,
+    theta,
+    gate,
+    scale,
+    transforms,
+    system,
 ):
     """One pass over all pairs at target_T_source = (x, y, theta); fills `system` (SYSTEM,).
 
@@ -106,7 +121,10 @@ def accumulate(
     for ref in range(len(transforms)):
         cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
         dx, dy = x - poses[ref, 0], y - poses[ref, 1]
-        transforms[ref, 0], transforms[ref, 1] = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
+        transforms[ref, 0], transforms[ref, 1] = (
+            np.cos(theta - poses[ref, 2]),
+            np.sin(theta - poses[ref, 2]),
+        )
         transforms[ref, 2], transforms[ref, 3] = cr * dx + sr * dy, cr * dy - sr * dx
     for i in range(0, len(source_points), stride):
         if not source_flags[i] & VALID:
@@ -165,7 +183,7 @@ def accumulate(
 
 @njit(cache=True, nogil=True)
 def solve3(a, g, step):
-    """Solve the symmetric 3x3 system (upper triangle a, 6) for -g by Cholesky; False if singular."""
+    """Solve the 3x3 system (upper triangle a, 6) for -g by Cholesky; False if singular."""
     if not a[0] > 0.0:
         return False
     l00 = np.sqrt(a[0])
@@ -190,9 +208,25 @@ def solve3(a, g, step):
 
 @njit(cache=True, nogil=True)
 def gauss_newton(
-    source_points, source_lines, source_flags, stride,
-    points, lines, flags, starts, geometries, poses,
-    pose, prior, information, noise, gate, scale, iterations, tolerance, system,
+    source_points,
+    source_lines,
+    source_flags,
+    stride,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    poses,
+    pose,
+    prior,
+    information,
+    noise,
+    gate,
+    scale,
+    iterations,
+    tolerance,
+    system,
 ):
     """Iterate from `pose` (3,), which it overwrites; returns (size of the last step, count).
 
@@ -210,9 +244,23 @@ def gauss_newton(
     size = np.inf
     for iteration in range(iterations):
         accumulate(
-            source_points, source_lines, source_flags, stride,
-            points, lines, flags, starts, geometries, poses,
-            pose[0], pose[1], pose[2], gate, scale, transforms, system,
+            source_points,
+            source_lines,
+            source_flags,
+            stride,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            poses,
+            pose[0],
+            pose[1],
+            pose[2],
+            gate,
+            scale,
+            transforms,
+            system,
         )
         for k in range(6):
             a[k] = system[k] * inverse

@@ -33,10 +33,15 @@ class LoopSearchConfig(BaseModel):
     correlative: CorrelativeConfig = CorrelativeConfig()
     min_score: float = Field(0.45, ge=0, le=1, description="of the correlative search")
     rival_ratio: float = Field(
-        0.92, gt=0, le=1, description="a second place that scores this share of the best is ambiguous"
+        0.92,
+        gt=0,
+        le=1,
+        description="a second place that scores this share of the best is ambiguous",
     )
     min_explained: float = Field(0.6, ge=0, le=1, description="share of paired beams that must fit")
-    min_fit: float = Field(0.55, ge=0, le=1, description="mean likelihood of the query at the result")
+    min_fit: float = Field(
+        0.55, ge=0, le=1, description="mean likelihood of the query at the result"
+    )
     max_reach: float = Field(15.0, gt=0, description="m, the search window never grows beyond")
 
 
@@ -59,7 +64,9 @@ def submap_points(scans: Sequence[tuple[Pose2, PreparedScan]]) -> Matrix:
     return np.concatenate(parts)
 
 
-def target_field(scans: Sequence[tuple[Pose2, PreparedScan]], config: CorrelativeConfig) -> LikelihoodField:
+def target_field(
+    scans: Sequence[tuple[Pose2, PreparedScan]], config: CorrelativeConfig
+) -> LikelihoodField:
     """Likelihood field of some old keyframes in the frame of one of them."""
     points = submap_points(scans)
     return build_field(np.ascontiguousarray(points), config)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from gtsam import Pose2
@@ -32,9 +32,13 @@ class MatchConfig(BaseModel):
     iterations: int = Field(25, ge=1, description="at most, per pass")
     tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
     min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
-    min_explained: float = Field(0.35, ge=0, le=1, description="share of paired beams that must fit")
+    min_explained: float = Field(
+        0.35, ge=0, le=1, description="share of paired beams that must fit"
+    )
     correlation: float = Field(
-        2.0, gt=0, description="how many times the independent-beam covariance understates the true one"
+        2.0,
+        gt=0,
+        description="how many times the independent-beam covariance understates the true one",
     )
     floor_trans: float = Field(0.004, ge=0, description="m, bias that no number of beams removes")
     floor_rot: float = Field(0.0015, ge=0, description="rad, the same for the heading")
@@ -115,8 +119,10 @@ def match(
     for gate, scale, tolerance, beams in _passes(config, prior):
         stride = max(1, len(source.points) // beams) if beams else 1
         size, count = kernels.gauss_newton(
-            source.points, source.lines, source.flags, stride, *stack, pose, centre, information,
-            config.range_noise, gate, scale, config.iterations, tolerance, system,
+            source.points, source.lines, source.flags, stride,
+            stack[0], stack[1], stack[2], stack[3], stack[4], stack[5],
+            pose, centre, information, config.range_noise, gate, scale,
+            config.iterations, tolerance, system,
         )  # fmt: skip
         iterations += count
     return _judge(pose, system, len(references), iterations, size, guess, prior, config)
@@ -131,11 +137,15 @@ def _passes(config: MatchConfig, prior: Prior | None) -> list[tuple[float, float
     final = (config.final_gate, config.final_scale, config.tolerance, 0)
     middle = (0.6, 0.2, 0.01, config.coarse_beams)
     if prior is None:
-        return [(config.search_gate, 0.5 * config.search_gate, 0.02, config.coarse_beams), middle, final]
+        return [
+            (config.search_gate, 0.5 * config.search_gate, 0.02, config.coarse_beams),
+            middle,
+            final,
+        ]
     return [middle, final]
 
 
-def _stack(references: Sequence[Reference]) -> tuple[Matrix, ...] | None:
+def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     """The references' arrays end to end, as the kernels take them."""
     used = [r for r in references if r.scan.valid > 2]
     if not used:
@@ -208,8 +218,9 @@ def own_information(system: Matrix, references: int, config: MatchConfig) -> Mat
     values, vectors = np.linalg.eigh(fisher * np.outer(root, root))
     values = np.maximum(values, 0.0)
     scaled = (vectors * (values / (1.0 + values))) @ vectors.T
-    information = scaled / np.outer(root, root)
-    return 0.5 * (information + information.T)
+    information: Matrix = scaled / np.outer(root, root)
+    information = 0.5 * (information + information.T)
+    return information
 
 
 def _no_more_than(feigned: Matrix, fisher: Matrix) -> Matrix:
@@ -217,7 +228,8 @@ def _no_more_than(feigned: Matrix, fisher: Matrix) -> Matrix:
     values, vectors = np.linalg.eigh(fisher - feigned)
     if values[0] >= 0.0:
         return feigned
-    return fisher - (vectors * np.maximum(values, 0.0)) @ vectors.T
+    excess: Matrix = fisher - (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return excess
 
 
 def weakest_axis(information: Matrix, known: Matrix) -> tuple[float, float]:

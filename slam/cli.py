@@ -1,5 +1,260 @@
-"""The `slam` command."""
+"""The `slam` command: each subcommand only wires parts that live elsewhere."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    name="slam",
+    help="2D laser SLAM for a Pioneer P3-DX and a Hokuyo: SDP-PE keyframes, ICP factors, GTSAM.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+LogArgument = Annotated[Path, typer.Argument(help="An MCAP log.", show_default=False)]
+ConfigOption = Annotated[Path | None, typer.Option(help="Configuration file (TOML).")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
+]
+TruthOption = Annotated[
+    Path | None, typer.Option(help="Truth: relations, TUM trajectory, or surveyed poses (CSV).")
+]
+
+LOSS = 3  # exit code: finished, but data was lost or skipped
+
+
+@app.command()
+def simulate(
+    world: Annotated[str, typer.Argument(help="Name of a world; `list` names them all.")],
+    out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
+    seed: Annotated[int, typer.Option(help="Geometry, noise and odometry follow from it.")] = 0,
+    laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
+    noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
+) -> None:
+    """Drive a simulated robot through a world and log what it senses, with the truth."""
+    from slam.simulate import simulate_log, world_names
+
+    if world == "list":
+        typer.echo("\n".join(world_names()))
+        return
+    count = simulate_log(world, out, seed, laser, noise)
+    _say(f"{out}: {count} messages")
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="CARMEN or BreezySLAM log, gzipped or plain.")],
+    out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
+) -> None:
+    """Turn a foreign log into an MCAP log; what is repaired or skipped is counted."""
+    from slam.imports import import_log
+
+    report = import_log(file, out)
+    _say(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
+    for cause, count in report.changed.items():
+        _say(f"  repaired: {count} {cause}")
+    _exit_on_loss(report.skipped, "skipped")
+
+
+@app.command()
+def replay(
+    log: LogArgument,
+    out: Annotated[Path, typer.Option(help="RUN directory to make.")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+) -> None:
+    """Run SLAM over a log, as fast as it goes."""
+    from slam.config import load_config
+    from slam.progress import stage_progress
+    from slam.replay import replay as run_replay
+
+    settings = load_config(config, set_ or [])
+    with stage_progress(log) as progress:
+        summary = run_replay(log, out, settings, progress)
+    _tell_summary(out, summary)
+    _exit_on_loss(summary["lost"], "lost")
+
+
+@app.command()
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="RUN directories.", show_default=False)],
+    truth: TruthOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Page to write; report.json goes beside it.")
+    ] = None,
+) -> None:
+    """Judge runs by their truth: report.html for people, report.json for programs."""
+    from slam.report import write_report
+
+    page = out or runs[0] / "report.html"
+    reports = write_report(runs, truth, page)
+    for found in reports:
+        _tell_figures(found.figures)
+        for warning in found.warnings:
+            _say(f"  note: {warning}")
+    _say(f"report: {page}")
+
+
+@app.command()
+def info(log: LogArgument) -> None:
+    """Say what a log holds."""
+    from slam.inspect import describe_log
+
+    typer.echo(describe_log(log))
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="A log that was not closed, or is damaged.")],
+    out: Annotated[Path, typer.Option(help="Sound log to write (.mcap).")],
+) -> None:
+    """Save what is intact of a damaged log; exit code 3 if anything was lost."""
+    from logs.recover import recover as recover_log
+
+    found = recover_log(file, out)
+    _say(f"{out}: {sum(found.messages.values())} messages saved")
+    for problem in found.problems:
+        _say(f"  {problem}")
+    if found.lost:
+        raise typer.Exit(LOSS)
+
+
+@app.command()
+def export(
+    log: LogArgument,
+    carmen: Annotated[Path, typer.Option(help="CARMEN log to write.")],
+) -> None:
+    """Write a log in a foreign format."""
+    from slam.exports import export_carmen
+
+    _say(f"{carmen}: {export_carmen(log, carmen)} scans")
+
+
+@app.command()
+def reoptimise(
+    source: Annotated[Path, typer.Argument(help="RUN directory, or a g2o file.")],
+    out: Annotated[Path, typer.Option(help="RUN directory to make.")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+) -> None:
+    """Optimise a finished graph again, with other noise, kernels or closures."""
+    from slam.reoptimise import reoptimise as run_reoptimise
+
+    summary = run_reoptimise(source, out, config, set_ or [])
+    loops = summary["loops"]
+    _say(
+        f"{out}: {summary['keyframes']} poses, {summary['edges']} edges, "
+        f"error {summary['error_before']:.4g} -> {summary['error_after']:.4g}, "
+        f"{loops['rejected']} of {loops['candidates']} loops refused"
+    )
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
+) -> None:
+    """Simulate the paper's test bed, map it, and compare SDP-PE with constant intervals."""
+    from slam.demo import run_demo
+
+    run_demo(out, _say)
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(help="benchmark or matcher")],
+    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
+    data: Annotated[
+        Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")
+    ] = Path("../shared/data"),
+    quick: Annotated[bool, typer.Option(help="Fewer samples, for a first look.")] = False,
+) -> None:
+    """Measure, print a table and write NAME.json."""
+    from slam.benchmarks import run_bench
+
+    run_bench(name, out, data, quick, _say)
+
+
+def _say(text: str) -> None:
+    """Talk goes to stderr, so that stdout holds results alone."""
+    typer.echo(text, err=True)
+
+
+def _exit_on_loss(lost: Any, word: str) -> None:
+    for cause, count in lost.items():
+        _say(f"  {word}: {count} {cause}")
+    if lost:
+        raise typer.Exit(LOSS)
+
+
+def _tell_summary(out: Path, summary: dict[str, Any]) -> None:
+    timing, loops = summary["timing"], summary["loops"]
+    typer.echo(
+        f"{out}: {summary['scans']} scans, {summary['keyframes']} keyframes, "
+        f"{summary['matches']} matches, {loops['accepted']} loops of {loops['candidates']} tried, "
+        f"{summary['distance_m']:.1f} m in {timing['wall_s']:.1f} s "
+        f"({timing['realtime_factor']:.0f}x real time)"
+    )
+
+
+def _tell_figures(figures: dict[str, Any]) -> None:
+    relations = figures.get("relations")
+    if relations:
+        typer.echo(
+            f"{figures['name']}: relations {relations['trans_mean_m']:.4f} +- "
+            f"{relations['trans_std_m']:.4f} m, {relations['rot_mean_deg']:.3f} +- "
+            f"{relations['rot_std_deg']:.3f} deg (n = {relations['n']}, "
+            f"{relations['missing']} missing)"
+        )
+    if figures.get("ate_rmse_m") is not None:
+        typer.echo(
+            f"{figures['name']}: ATE {figures['ate_rmse_m']:.4f} m rmse, final pose error "
+            f"{figures['final_pose_error_m']:.4f} m"
+        )
+
+
+class _Terminated(BaseException):
+    """SIGTERM, as an exception, so that files are closed on the way out."""
+
+
+def _on_sigterm(number: int, frame: FrameType | None) -> None:
+    raise _Terminated
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Entry point of the console script: known errors become one line and an exit code."""
+    signal.signal(signal.SIGTERM, _on_sigterm)
+    try:
+        app()
+    except KeyboardInterrupt:
+        _say("slam: interrupted; nothing half-written is left")
+        raise SystemExit(130) from None
+    except _Terminated:
+        _say("slam: terminated; nothing half-written is left")
+        raise SystemExit(143) from None
+    except Exception as error:
+        if not _known(error):
+            raise
+        _say(f"slam: {error}")
+        raise SystemExit(1) from error
+
+
+def _known(error: Exception) -> bool:
+    """Whether the message was written for the person at the terminal."""
+    from backend.edges import GraphError
+    from logs.errors import LogError
+    from slam.config import ConfigError
+    from slam.errors import ReportError, RunError
+    from slam.offline import SlamError
+
+    return isinstance(error, (LogError, ConfigError, RunError, ReportError, SlamError, GraphError))
+
+
+if __name__ == "__main__":
+    main()

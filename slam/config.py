@@ -98,9 +98,7 @@ def describe(error: ValidationError) -> str:
     first = error.errors()[0]
     location = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(location, known_keys(SlamConfig), n=1, cutoff=0.3)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        return f"unknown setting {location}{hint}"
+        return f"unknown setting {location}{nearest(location, known_keys(SlamConfig))}"
     return f"{location}: {first['msg']} (got {first['input']!r})"
 
 
@@ -113,3 +111,9 @@ def known_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             keys += known_keys(kind, f"{prefix}{name}.")
     return keys
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """A hint at the known name that is most like an unknown one; empty if none is near."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.3)
+    return f"; did you mean {near[0]}?" if near else ""

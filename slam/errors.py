@@ -5,3 +5,7 @@ from __future__ import annotations
 
 class ReportError(Exception):
     """A run, its truth or a trajectory cannot be evaluated; the message says where and why."""
+
+
+class RunError(Exception):
+    """A RUN directory cannot be made or read; the message says which and what to do."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from gtsam import Pose2
-
 from numpy.typing import NDArray
 
 from frontend.scan import PreparedScan
@@ -34,7 +33,9 @@ def view_centres(keyframes: Sequence[Keyframe], poses: NDArray[np.float64]) -> N
     """
     local = np.array([k.prepared.centre for k in keyframes])
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.column_stack([
-        poses[:, 0] + c * local[:, 0] - s * local[:, 1],
-        poses[:, 1] + s * local[:, 0] + c * local[:, 1],
-    ])
+    return np.column_stack(
+        [
+            poses[:, 0] + c * local[:, 0] - s * local[:, 1],
+            poses[:, 1] + s * local[:, 0] + c * local[:, 1],
+        ]
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from gtsam import Pose2
@@ -25,7 +26,7 @@ class LocaliseConfig(BaseModel):
 
     every_scan: bool = Field(True, description="match every scan, not only the keyframes")
     neighbours: int = Field(3, ge=1, description="nearest keyframes a scan is matched against")
-    refine_passes: int = Field(1, ge=0, description="global passes that re-match neighbours")
+    refine_passes: int = Field(0, ge=0, description="global passes that re-match neighbours")
     refine_neighbours: int = Field(6, ge=2, description="keyframes in each such match")
     radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
     sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
@@ -74,7 +75,7 @@ def refine_edges(
         result = match(references, keyframe.prepared, guess, matcher, prior_of(guess, config))
         if not result.converged or result.explained < config.min_explained:
             continue
-        kind = "icp" if abs(anchor - k) == 1 else "loop"
+        kind: Literal["icp", "loop"] = "icp" if abs(anchor - k) == 1 else "loop"
         edges.append(Edge(kind, anchor, k, result.target_T_source, result.information))
     return edges
 

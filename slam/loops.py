@@ -28,7 +28,9 @@ class LoopConfig(BaseModel):
     enabled: bool = Field(True, description="search for loops at all")
     every_m: float = Field(1.0, gt=0, description="m travelled between searches")
     min_path_m: float = Field(8.0, gt=0, description="m of path before a place counts as old")
-    view_m: float = Field(4.0, gt=0, description="m between what two scans look at, if they overlap")
+    view_m: float = Field(
+        4.0, gt=0, description="m between what two scans look at, if they overlap"
+    )
     places: int = Field(3, ge=1, description="distinct places tried per search")
     places_apart_m: float = Field(3.0, gt=0, description="m between two such places")
     query_keyframes: int = Field(4, ge=1, description="latest keyframes that form the query")
@@ -95,7 +97,9 @@ class LoopCloser:
         ]  # fmt: skip
         if not old:
             return []
-        centres = view_centres([*(keyframes[k] for k in old), newest], graph.poses[[*old, newest.index]])
+        centres = view_centres(
+            [*(keyframes[k] for k in old), newest], graph.poses[[*old, newest.index]]
+        )
         here = centres[-1]
         sigma = float(np.sqrt(np.linalg.eigvalsh(graph.marginal(newest.index)[:2, :2])[-1]))
         reach = min(3 * sigma, self.config.search.max_reach) + self.config.view_m
@@ -231,5 +235,5 @@ class LoopCloser:
                 closure.score,
                 closure.second_score,
                 chi_square,
-            )  # fmt: skip
+            )
         )

@@ -51,7 +51,7 @@ class ErrorSummary:
 class AbsoluteErrors:
     """Pose errors after a rigid motion of the estimate, one for each associated pose."""
 
-    truth_T_map: Poses  # noqa: N815 - a frame name; (3,) the rigid motion that was applied
+    truth_T_map: Poses
     trans_m: NDArray[np.float64]  # (n,)
     rot_deg: NDArray[np.float64]  # (n,) absolute
 

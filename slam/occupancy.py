@@ -197,7 +197,7 @@ def _to_percent(cells: NDArray[np.uint16]) -> NDArray[np.int8]:
 
 
 @njit(cache=True, nogil=True)
-def _reach(reading, nearest, farthest, rules):  # type: ignore[no-untyped-def]
+def _reach(reading, nearest, farthest, rules):
     """Return how far a beam clears (negative: it says nothing) and whether it hit something."""
     if math.isnan(reading) or reading <= 0.0 or reading < nearest:
         return -1.0, False
@@ -209,7 +209,7 @@ def _reach(reading, nearest, farthest, rules):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _find_ends(beams, rules, scan, ends, hits):  # type: ignore[no-untyped-def]
+def _find_ends(beams, rules, scan, ends, hits):
     """Write where each beam of a scan ends (m, map frame; nan: says nothing) and if it hit."""
     x, y, theta = beams.poses[scan]
     first = beams.first[scan]
@@ -223,7 +223,7 @@ def _find_ends(beams, rules, scan, ends, hits):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _most_beams(beams):  # type: ignore[no-untyped-def]
+def _most_beams(beams):
     most = 0
     for scan in range(len(beams.first) - 1):
         most = max(most, beams.first[scan + 1] - beams.first[scan])
@@ -231,7 +231,7 @@ def _most_beams(beams):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _grow_bounds(beams, rules, bounds):  # type: ignore[no-untyped-def]
+def _grow_bounds(beams, rules, bounds):
     """Widen bounds (x, y low; x, y high) to hold every pose and the end of every beam."""
     most = _most_beams(beams)
     ends, hits = np.empty((most, 2)), np.empty(most, dtype=np.bool_)
@@ -249,7 +249,7 @@ def _grow_bounds(beams, rules, bounds):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _draw(beams, rules, cells, left, bottom):  # type: ignore[no-untyped-def]
+def _draw(beams, rules, cells, left, bottom):
     """Add scans to the grid, each in two sweeps: hits first, so that they win, then the ways."""
     rows, columns = cells.shape
     most = _most_beams(beams)
@@ -278,7 +278,7 @@ def _draw(beams, rules, cells, left, bottom):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):  # type: ignore[no-untyped-def]
+def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):
     """Draw one scan of `beams` beams; positions are in cells from the grid's corner."""
     rows, columns = cells.shape
     flat = cells.reshape(-1)
@@ -297,7 +297,7 @@ def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):  # type: ignore[
 
 
 @njit(cache=True, nogil=True)
-def _change(flat, index, step, clamp, touched, count):  # type: ignore[no-untyped-def]
+def _change(flat, index, step, clamp, touched, count):
     """Add a step to a cell unless this scan already did; returns the count of touched cells."""
     value = np.int64(flat[index])
     if value & _MARK:
@@ -310,7 +310,7 @@ def _change(flat, index, step, clamp, touched, count):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def _clear(flat, rows, columns, x, y, end, rules, touched, count):  # type: ignore[no-untyped-def]
+def _clear(flat, rows, columns, x, y, end, rules, touched, count):
     """Lower the cells from (x, y) to `end` (in cells), one per step along the longer axis."""
     dx, dy = end[0] - x, end[1] - y
     n = math.ceil(max(abs(dx), abs(dy)))

@@ -41,10 +41,15 @@ class OdometryConfig(BaseModel):
         Args:
             distance: m travelled along the path.
             turn: rad turned along the path, without sign.
+            seconds: that the step took.
         """
-        sigma_rot = np.hypot(self.rot_floor, self.rot_per_m * distance + self.rot_per_rad * turn)
+        late = self.sync / max(seconds, self.sync)  # share of the step that may belong elsewhere
+        sigma_rot = np.hypot(
+            self.rot_floor, self.rot_per_m * distance + (self.rot_per_rad + late) * turn
+        )
         sigma_along = np.hypot(
-            self.trans_floor, self.trans_per_m * distance + self.trans_per_rad * turn
+            self.trans_floor,
+            (self.trans_per_m + late) * distance + self.trans_per_rad * turn,
         )
         # Heading errors on the way swing the end of the step sideways.
         sigma_across = np.hypot(sigma_along, 0.5 * distance * sigma_rot)

@@ -30,6 +30,7 @@ from slam.config import SlamConfig
 from slam.keyframe import Keyframe
 from slam.loops import LoopCloser
 from slam.odometry import OdometryBuffer
+from slam.stopwatch import NoWatch
 from slam.tracking import Tracked, track
 
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
@@ -53,15 +54,17 @@ class _Sighting:
 class Slam:
     """Messages in, a pose graph out."""
 
-    def __init__(self, config: SlamConfig) -> None:
+    def __init__(self, config: SlamConfig, watch: NoWatch | None = None) -> None:
         self.config = config
+        self._watch = watch or NoWatch()
         self.keyframes: list[Keyframe] = []
         self.scan_stamps_ns: list[int] = []
         self.odom_poses: list[tuple[float, float, float]] = []  # odom_T_base of each scan
         self.decisions: list[KeyframeDecision] = []
         self.factors: list[FactorRecord] = []
         self.estimates: list[PoseEstimate] = []
-        self.lost: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()  # data that could not be used, per cause
+        self.noted: Counter[str] = Counter()  # oddities that cost nothing, per cause
         self.matches = 0
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
@@ -110,7 +113,7 @@ class Slam:
             self.lost["scan with a stamp that runs backwards"] += 1
             return
         if not np.isfinite(scan.ranges).any():
-            self.lost["scan without any return"] += 1
+            self.noted["scan without any return"] += 1
         sighting = self._sight(scan, odom_T_base)
         self.scan_stamps_ns.append(scan.stamp_ns)
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
@@ -162,9 +165,10 @@ class Slam:
         """
         prepared = prepare(sighting.scan, self.mount, self.config.scan)
         if prepared.valid < self.config.matcher.min_pairs:
-            self.lost["keyframe postponed: scan too empty"] += 1
+            self.noted["keyframe postponed: scan too empty"] += 1
             return
-        tracked = self._track(sighting, prepared, between)
+        with self._watch("matching"):
+            tracked = self._track(sighting, prepared, between)
         self.matches += 1
         if between and not (tracked.odometry_trusted and tracked.match_trusted):
             middle = len(between) // 2
@@ -186,14 +190,17 @@ class Slam:
             self._unbroken = new
         step = tracked.result.target_T_source if tracked.match_trusted else moved
         edges = self._edges(sighting, tracked, moved, new)
-        self.graph.add_keyframe(self.graph.pose(new - 1) * step, edges)
+        with self._watch("optimising"):
+            self.graph.add_keyframe(self.graph.pose(new - 1) * step, edges)
         self._record_decision(sighting.scan, sighting.index, reason, moved, tracked)
         self._last_step = (step, seconds)
         self._keep(sighting, prepared, float(np.hypot(step.x(), step.y())))
         stamp_ns = sighting.scan.stamp_ns
-        closures = self.loops.close(self.keyframes, self.graph)
+        with self._watch("closing"):
+            closures = self.loops.close(self.keyframes, self.graph)
         if closures:
-            self.graph.add_edges(closures)
+            with self._watch("optimising"):
+                self.graph.add_edges(closures)
             self.loops.moved()
             for edge in closures:
                 self._record_edge(stamp_ns, edge, True, "")
@@ -245,16 +252,14 @@ class Slam:
             starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
         return starts
 
-    def _edges(
-        self, sighting: _Sighting, tracked: Tracked, moved: Pose2, new: int
-    ) -> list[Edge]:
+    def _edges(self, sighting: _Sighting, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
         """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
-        covariance = self._odometry_covariance(sighting)
+        information = np.linalg.inv(self._odometry_covariance(sighting))
         note = tracked.note
         if not tracked.match_trusted:  # nothing vouches for the odometry: say that little is known
-            covariance = covariance * self.config.lost_inflation**2
+            information = information / self.config.lost_inflation**2
             note = f"lost: {note}" if tracked.lost else note
-        odometry = Edge("odometry", new - 1, new, moved, np.linalg.inv(covariance))
+        odometry = Edge("odometry", new - 1, new, moved, information)
         result = tracked.result
         matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
         edges = []
@@ -271,9 +276,13 @@ class Slam:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)
         self.keyframes.append(
             Keyframe(
-                len(self.keyframes), sighting.index, sighting.scan, prepared,
-                sighting.odom_T_base, travelled,
-            )  # fmt: skip
+                len(self.keyframes),
+                sighting.index,
+                sighting.scan,
+                prepared,
+                sighting.odom_T_base,
+                travelled,
+            )
         )
         self._interval = interval_after(prepared, self.config.keyframes)
         self._kept = sighting
@@ -288,12 +297,18 @@ class Slam:
             sigmas = tracked.result.sigmas
         self.decisions.append(
             KeyframeDecision(
-                scan.stamp_ns, len(self.keyframes), index, reason, "",
-                float(np.hypot(moved.x(), moved.y())), abs(moved.theta()),
+                scan.stamp_ns,
+                len(self.keyframes),
+                index,
+                reason,
+                "",
+                float(np.hypot(moved.x(), moved.y())),
+                abs(moved.theta()),
                 float(self._interval.length),
                 complexity.t_pe if complexity else float("nan"),
-                complexity.sums if complexity else (), sigmas,
-            )  # fmt: skip
+                complexity.sums if complexity else (),
+                sigmas,
+            )
         )
 
     def _record_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
@@ -311,7 +326,7 @@ class Slam:
                 tuple(covariance.ravel().tolist()),
                 used,
                 note,
-            )  # fmt: skip
+            )
         )
 
     def _record_estimate(self, stamp_ns: int, lost: bool) -> None:

@@ -26,7 +26,7 @@ class Relations:
 
     first_ns: Stamps  # (n,) t1
     second_ns: Stamps  # (n,) t2, sometimes before t1
-    first_T_second: Poses  # noqa: N815 - a frame name; (n, 3)
+    first_T_second: Poses
 
     def __len__(self) -> int:
         return len(self.first_ns)

@@ -1,0 +1,159 @@
+"""Numba kernels of scan preparation: placing points, fitting the longest straight windows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
+CENTRE_RANGE = 10.0  # m, farther points do not move a scan's centre
+
+VALID = 1  # the beam hit something
+LINE = 2  # and a line could be fitted there
+
+
+@njit(cache=True, nogil=True)
+def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
+    """Fill points (n, 2), flags (n,) and centre (2,); return how many beams are valid."""
+    angle_min, step, ox, oy = geometry[0], geometry[1], geometry[2], geometry[3]
+    c, s = np.cos(angle_min), np.sin(angle_min)
+    dc, ds = np.cos(step), np.sin(step)
+    valid, near = 0, 0
+    sum_x, sum_y = 0.0, 0.0
+    for i in range(len(ranges)):
+        r = float(ranges[i])
+        if r >= nearest and r < farthest:  # false for nan and inf
+            points[i, 0] = ox + r * c
+            points[i, 1] = oy + r * s
+            flags[i] = VALID
+            valid += 1
+            if r < CENTRE_RANGE:
+                near += 1
+                sum_x += points[i, 0]
+                sum_y += points[i, 1]
+        else:
+            points[i, 0] = np.nan
+            points[i, 1] = np.nan
+        c, s = c * dc - s * ds, s * dc + c * ds
+    centre[0] = sum_x / near if near else ox
+    centre[1] = sum_y / near if near else oy
+    return valid
+
+
+@njit(cache=True, nogil=True)
+def _fit(sums, i, j):
+    """Line through points i..j: centroid, direction, residual variance, scatter along it."""
+    m = j - i + 1.0
+    mx = (sums[j + 1, 0] - sums[i, 0]) / m
+    my = (sums[j + 1, 1] - sums[i, 1]) / m
+    xx = (sums[j + 1, 2] - sums[i, 2]) - m * mx * mx
+    yy = (sums[j + 1, 3] - sums[i, 3]) - m * my * my
+    xy = (sums[j + 1, 4] - sums[i, 4]) - m * mx * my
+    half = 0.5 * (xx + yy)
+    root = np.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+    small = max(half - root, 0.0)
+    # Two degrees of freedom went into the line.
+    return mx, my, xx, yy, xy, small / (m - 2.0), half + root
+
+
+@njit(cache=True, nogil=True)
+def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines):
+    """Fit to every valid beam the longest straight window around it; fills lines, marks flags.
+
+    Least squares on prefix sums, so that a window of any length costs the same.
+    """
+    n = len(points)
+    step, ox, oy = geometry[1], geometry[2], geometry[3]
+    limit = (tolerance * noise) ** 2
+    sums = np.zeros((n + 1, 5))
+    first = np.empty(n, dtype=np.int64)  # of the unbroken surface that beam i lies on
+    last = np.empty(n, dtype=np.int64)
+    for i in range(n):
+        x, y = 0.0, 0.0
+        if flags[i] & VALID:
+            x, y = points[i, 0] - ox, points[i, 1] - oy
+        sums[i + 1, 0] = sums[i, 0] + x
+        sums[i + 1, 1] = sums[i, 1] + y
+        sums[i + 1, 2] = sums[i, 2] + x * x
+        sums[i + 1, 3] = sums[i, 3] + y * y
+        sums[i + 1, 4] = sums[i, 4] + x * y
+        first[i] = i
+        if i > 0 and (flags[i] & VALID) and (flags[i - 1] & VALID):
+            dx, dy = points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1]
+            u, v = points[i - 1, 0] - ox, points[i - 1, 1] - oy
+            r2 = min(x * x + y * y, u * u + v * v)
+            widest = max(gap_ratio * step * np.sqrt(r2), 5.0 * noise)
+            if dx * dx + dy * dy <= widest * widest:
+                first[i] = first[i - 1]
+    for i in range(n - 1, -1, -1):
+        last[i] = last[i + 1] if i + 1 < n and first[i + 1] == first[i] else i
+    w = 2
+    for i in range(n):
+        if not flags[i] & VALID or last[i] - first[i] < 2:
+            continue
+        w = _longest_window(sums, i, first[i], last[i], w, limit)
+        if w >= 0:
+            a, b = max(first[i], i - HALF_WIDTHS[w]), min(last[i], i + HALF_WIDTHS[w])
+        else:
+            w = 0
+            a, b = _one_sided(sums, i, first[i], last[i], limit)
+            if b - a < 2:
+                continue
+        mx, my, xx, yy, xy, _, along = _fit(sums, a, b)
+        angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)  # of the line
+        nx, ny = -np.sin(angle), np.cos(angle)
+        d = nx * mx + ny * my
+        if d > 0.0:  # the normal points to the laser, which lies at the local origin
+            nx, ny, d = -nx, -ny, -d
+        variance = noise * noise / along
+        if variance > sigma_max * sigma_max:
+            continue
+        lines[i, 0], lines[i, 1] = nx, ny
+        lines[i, 2] = d + nx * ox + ny * oy
+        lines[i, 3] = variance
+        flags[i] |= LINE
+
+
+@njit(cache=True, nogil=True)
+def _straight(sums, a, b, limit):
+    if b - a < 2:
+        return False
+    return _fit(sums, a, b)[5] <= limit
+
+
+@njit(cache=True, nogil=True)
+def _longest_window(sums, i, first, last, start, limit):
+    """Index into HALF_WIDTHS of the longest straight window about i, from `start`; -1 if none."""
+    w = start
+    if not _straight(sums, max(first, i - HALF_WIDTHS[w]), min(last, i + HALF_WIDTHS[w]), limit):
+        w -= 1
+        while w >= 0 and not _straight(
+            sums, max(first, i - HALF_WIDTHS[w]), min(last, i + HALF_WIDTHS[w]), limit
+        ):
+            w -= 1
+        return w
+    while w + 1 < len(HALF_WIDTHS):
+        h = HALF_WIDTHS[w + 1]
+        if i - HALF_WIDTHS[w] <= first and i + HALF_WIDTHS[w] >= last:
+            break
+        if not _straight(sums, max(first, i - h), min(last, i + h), limit):
+            break
+        w += 1
+    return w
+
+
+@njit(cache=True, nogil=True)
+def _one_sided(sums, i, first, last, limit):
+    """The longer straight window that ends or begins at i, for points at a corner."""
+    a, b = i, i
+    for h in HALF_WIDTHS[:6]:
+        if i - h - 1 < first or not _straight(sums, i - h - 1, i, limit):
+            break
+        a = i - h - 1
+    for h in HALF_WIDTHS[:6]:
+        if i + h + 1 > last or not _straight(sums, i, i + h + 1, limit):
+            break
+        b = i + h + 1
+    if i - a >= b - i:
+        return a, i
+    return i, b

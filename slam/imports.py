@@ -1,0 +1,41 @@
+"""`slam import`: a foreign log becomes an MCAP log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from logs.importers.detect import read_any
+from logs.mcap_log import LogWriter
+from logs.messages import LaserScan
+
+
+@dataclass(frozen=True, slots=True)
+class ImportReport:
+    """What came over, what had to be repaired, and what could not be used."""
+
+    kind: str
+    messages: int
+    scans: int
+    changed: Counter[str]
+    skipped: Counter[str]
+
+
+def import_log(file: Path, out: Path) -> ImportReport:
+    """Read a foreign log of any supported kind and write it as MCAP.
+
+    Raises:
+        LogError: it cannot be read, or the log cannot be written.
+    """
+    imported = read_any(file)
+    identity = {"source": file.name, "imported_from": imported.kind}
+    with LogWriter(out, identity, keep_partial=False) as log:
+        for message in imported.messages:
+            log.write(message)
+        counts = {**imported.skipped, **imported.changed, **imported.ignored}
+        log.add_metadata("import", {cause: str(count) for cause, count in counts.items()})
+    scans = sum(isinstance(message, LaserScan) for message in imported.messages)
+    return ImportReport(
+        imported.kind, len(imported.messages), scans, imported.changed, imported.skipped
+    )

@@ -1,0 +1,193 @@
+"""A whole run from a source of messages: track, optimise, localise every scan, draw the map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+
+from backend.edges import Edge
+from frontend.scan import prepare
+from logs.messages import LaserScan, Message, OccupancyMap, PoseEstimate, TruePose
+from slam.config import SlamConfig
+from slam.localise import ScanLocaliser, refine_edges, warp
+from slam.occupancy import build_map
+from slam.pipeline import Slam
+from slam.stopwatch import NoWatch
+from slam.trajectory import Trajectory, compose
+
+Source = Callable[[], Iterable[Message]]
+Progress = Callable[[str, float], None]  # stage, share done
+
+
+class SlamError(Exception):
+    """A run cannot give a result; the message says what is missing and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """All that a finished run knows; poses are map_T_base."""
+
+    slam: Slam
+    trajectory: Trajectory  # at every scan
+    odometry: Trajectory  # odom_T_base at every scan
+    keyframes: Trajectory
+    estimates: list[PoseEstimate]  # at every scan, with covariance
+    edges: list[Edge]  # of the final graph
+    weights: list[NDArray[np.float64]]  # their (3, 3) informations as optimised
+    grid: OccupancyMap
+    truth: list[TruePose]
+    lost: Counter[str]
+    matches: int  # of keyframes and, at the end, of single scans
+
+
+def run_offline(
+    source: Source,
+    config: SlamConfig,
+    watch: NoWatch | None = None,
+    progress: Progress | None = None,
+    step: Callable[[Slam, Message], None] = Slam.step,
+) -> Result:
+    """Run SLAM over a source of messages, which is read twice.
+
+    Args:
+        source: gives the messages from the start, each time it is called.
+        config: of the whole run.
+        watch: measures where the time goes.
+        progress: told the stage and the number of messages or scans done.
+        step: how a message is handed to the pipeline; replaced to time it.
+
+    Raises:
+        SlamError: the log holds no usable scan.
+    """
+    watch, tell = watch or NoWatch(), progress or (lambda stage, done: None)
+    slam = Slam(config, watch)
+    truth: list[TruePose] = []
+    for count, message in enumerate(_timed(source(), watch)):
+        step(slam, message)
+        if isinstance(message, TruePose):
+            truth.append(message)
+        tell("tracking", count)
+    slam.finish_input()
+    return finish(slam, source, truth, watch, tell)
+
+
+def finish(
+    slam: Slam, source: Source, truth: list[TruePose], watch: NoWatch, tell: Progress
+) -> Result:
+    """Optimise a graph whose input has ended, and make all results from it."""
+    if slam.graph is None:
+        seen = len(slam.scan_stamps_ns)
+        raise SlamError(
+            f"no usable scan among {seen}: the log must hold scans with at least "
+            f"{slam.config.matcher.min_pairs} returns each"
+        )
+    config, graph = slam.config, slam.graph
+    with watch("optimising"):
+        settle(slam)
+        for _ in range(config.localise.refine_passes):
+            graph.add_edges_batch(
+                refine_edges(slam.keyframes, graph, config.localise, config.matcher)
+            )
+            graph.optimise()
+        marginals = graph.marginals()
+    poses = graph.poses.copy()
+    stamps = np.array(slam.scan_stamps_ns, dtype=np.int64)
+    odometry = np.array(slam.odom_poses)
+    keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
+    before = np.searchsorted(keyframe_scans, np.arange(len(stamps)), side="right") - 1
+    bent = warp(odometry, before, keyframe_scans, poses)
+    found, matches = bent, 0
+    if config.localise.every_scan:
+        with watch("localising"):
+            found, matches = _localise(slam, source, poses, bent, watch, tell)
+    with watch("map"):
+        mount = np.array([slam.mount.x, slam.mount.y, slam.mount.theta])
+        scans = [k.scan for k in slam.keyframes]
+        grid = build_map(scans, compose(found[keyframe_scans], mount), config.map)
+    return Result(
+        slam,
+        Trajectory(stamps, found),
+        Trajectory(stamps, odometry),
+        Trajectory(stamps[keyframe_scans], poses),
+        _estimates(slam, stamps, found, marginals[np.maximum(before, 0)]),
+        graph.edges,
+        [graph.weight(edge) for edge in graph.edges],
+        grid,
+        truth,
+        slam.lost,
+        slam.matches + matches,
+    )
+
+
+def settle(slam: Slam) -> None:
+    """Batch optimisation; closures that the whole graph speaks against are withdrawn, on record."""
+    graph = slam.graph
+    assert graph is not None
+    graph.optimise()
+    refuted = [graph.edges[k] for k, weight in graph.loop_weights.items() if weight < 0.5]
+    for edge in refuted:
+        chi_square = edge.chi_square(graph.poses)
+        graph.drop(edge)
+        note = f"withdrawn: chi-square {chi_square:.0f} against the whole graph"
+        slam.factors = [
+            replace(f, used=False, note=note)
+            if (f.kind, f.i, f.j) == (edge.kind, edge.i, edge.j) else f
+            for f in slam.factors
+        ]  # fmt: skip
+        slam.loops.verdicts = [
+            replace(v, accepted=False, reason=note) if (v.i, v.j) == (edge.i, edge.j) else v
+            for v in slam.loops.verdicts
+        ]
+
+
+def _timed(messages: Iterable[Message], watch: NoWatch) -> Iterable[Message]:
+    """The messages, with the time to get them booked as reading."""
+    iterator = iter(messages)
+    while True:
+        with watch("reading"):
+            message = next(iterator, None)
+        if message is None:
+            return
+        yield message
+
+
+def _localise(
+    slam: Slam, source: Source, poses: NDArray[np.float64], guesses: NDArray[np.float64],
+    watch: NoWatch, tell: Progress,
+) -> tuple[NDArray[np.float64], int]:  # fmt: skip
+    """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
+    localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
+    found = guesses.copy()
+    row = 0
+    for message in _timed(source(), watch):
+        if row == len(found):
+            break
+        if not isinstance(message, LaserScan) or message.stamp_ns != slam.scan_stamps_ns[row]:
+            continue
+        scan = prepare(message, slam.mount, slam.config.scan)
+        pose = localiser.locate(scan, Pose2(*guesses[row]))
+        found[row] = pose.x(), pose.y(), pose.theta()
+        row += 1
+        tell("localising", row)
+    return found, localiser.matches
+
+
+def _estimates(
+    slam: Slam, stamps: NDArray[np.int64], poses: NDArray[np.float64],
+    covariances: NDArray[np.float64],
+) -> list[PoseEstimate]:  # fmt: skip
+    """Every scan's pose; its uncertainty is that of the keyframe before, plus the match's own."""
+    lost = {estimate.stamp_ns for estimate in slam.estimates if estimate.lost}
+    floor = np.diag([slam.config.graph.match_sigma_trans] * 2 + [slam.config.graph.match_sigma_rot])
+    flat = (covariances + floor**2).reshape(len(stamps), 9)
+    return [
+        PoseEstimate(
+            int(t), float(p[0]), float(p[1]), float(p[2]), tuple(c.tolist()), int(t) in lost
+        )
+        for t, p, c in zip(stamps, poses, flat, strict=True)
+    ]

@@ -1,0 +1,160 @@
+"""`slam replay`: a log in, a RUN out."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import resource
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frontend.matching import Prior, Reference, match
+from logs.mcap_log import open_log
+from logs.messages import Message
+from slam.config import SlamConfig
+from slam.offline import Progress, Result, run_offline
+from slam.pipeline import Slam
+from slam.run_directory import new_run, version, write_results, write_summary
+from slam.stopwatch import Stopwatch
+from slam.trajectory import path_length
+
+SLAM_TOPICS = ("/scan", "/odom", "/tf", "/truth")
+
+
+class TimedStep:
+    """Hands messages to the pipeline and notes how long each took."""
+
+    def __init__(self) -> None:
+        self.milliseconds: list[float] = []
+
+    def __call__(self, slam: Slam, message: Message) -> None:
+        """One step, timed."""
+        begin = time.perf_counter()
+        slam.step(message)
+        self.milliseconds.append((time.perf_counter() - begin) * 1e3)
+
+
+def replay(
+    log: Path, out: Path, config: SlamConfig, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Run SLAM over a log and write a RUN directory; returns its summary.
+
+    Raises:
+        LogError: the log cannot be read.
+        SlamError: it holds no usable scan.
+        RunError: the output cannot be written.
+    """
+    skipped: dict[str, int] = {}
+
+    def source() -> Iterable[Message]:
+        with open_log(log) as opened:
+            yield from opened.messages(SLAM_TOPICS)
+            skipped.update(opened.skipped)
+
+    source_sha256 = file_sha256(log)
+    with new_run(out) as partial:
+        result, timing = timed_run(source, config, progress)
+        identity = {
+            "source": log.name, "source_sha256": source_sha256, "version": version(),
+            "config_sha256": config.sha256(), "host": platform.node(),
+        }  # fmt: skip
+        config_json = config.model_dump_json(indent=2).encode()
+        begin = time.perf_counter()
+        write_results(partial, result, identity, config_json)
+        timing["stages_s"]["writing"] = round(time.perf_counter() - begin, 3)
+        result.lost.update(skipped)
+        summary = summarise(result, log.name, timing, config)
+        summary |= {"log_sha256": source_sha256, "host": platform.node()}
+        write_summary(partial, summary)
+    return summary
+
+
+def timed_run(
+    source: Any, config: SlamConfig, progress: Progress | None
+) -> tuple[Result, dict[str, Any]]:
+    """Run offline; also the figures of `summary.json`'s `timing`."""
+    watch, step = Stopwatch(), TimedStep()
+    wall, cpu = time.perf_counter(), time.process_time()
+    result = run_offline(source, config, watch, progress, step)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    stamps = result.trajectory.stamps_ns
+    duration = float(stamps[-1] - stamps[0]) * 1e-9
+    steps = np.array(step.milliseconds)
+    timing = {
+        "wall_s": round(wall, 3),
+        "cpu_s": round(cpu, 3),
+        "realtime_factor": round(duration / wall, 2),
+        "match_us_median": round(time_matches(result), 1),
+        "step_ms_p50": round(float(np.percentile(steps, 50)), 4),
+        "step_ms_p99": round(float(np.percentile(steps, 99)), 4),
+        "stages_s": {name: round(s, 3) for name, s in sorted(watch.seconds.items())},
+    }
+    return result, timing
+
+
+def time_matches(result: Result, most: int = 100) -> float:
+    """Median microseconds of a single-reference match between neighbouring keyframes, warm."""
+    keyframes, poses = result.slam.keyframes, result.keyframes.poses
+    matcher = result.slam.config.matcher
+    times = []
+    for k in _spread(len(keyframes) - 1, most):
+        a, b = keyframes[k], keyframes[k + 1]
+        guess = a.odom_T_base.between(b.odom_T_base)
+        prior = Prior(guess, np.diag([0.05, 0.05, 0.05]) ** 2)
+        references = [Reference(type(guess)(), a.prepared)]
+        begin = time.perf_counter()
+        match(references, b.prepared, guess, matcher, prior)
+        times.append((time.perf_counter() - begin) * 1e6)
+    return float(np.median(times)) if times and len(poses) else 0.0
+
+
+def _spread(n: int, most: int) -> Sequence[int]:
+    return range(0, n, max(1, n // most))
+
+
+def summarise(
+    result: Result, log: str, timing: dict[str, Any], config: SlamConfig
+) -> dict[str, Any]:
+    """The keys of `summary.json`."""
+    slam, stamps = result.slam, result.trajectory.stamps_ns
+    verdicts = slam.loops.verdicts
+    accepted = sum(v.accepted for v in verdicts)
+    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "log": log,
+        "scans": len(stamps),
+        "keyframes": len(slam.keyframes),
+        "matches": slam.matches,
+        "scan_matches": result.matches - slam.matches,
+        "loops": {
+            "candidates": len(verdicts),
+            "accepted": accepted,
+            "rejected": len(verdicts) - accepted,
+        },
+        "distance_m": round(float(path_length(result.trajectory.poses)[-1]), 3),
+        "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
+        "timing": timing,
+        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "lost": dict(sorted(result.lost.items())),
+        "noted": dict(sorted(slam.noted.items())),
+        "odometry_refused": sum(not f.used and f.kind == "odometry" for f in slam.factors),
+        "lost_keyframes": sum(e.lost for e in slam.estimates),
+        "version": version(),
+        "config_sha256": config.sha256(),
+    }
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file; empty if it cannot be read (opening it says why)."""
+    digest = hashlib.sha256()
+    try:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    except OSError:
+        return ""
+    return digest.hexdigest()

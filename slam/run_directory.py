@@ -1,0 +1,93 @@
+"""The RUN directory: what a run leaves behind, complete or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from backend.g2o import write_g2o
+from logs.mcap_log import LogWriter, library_name
+from slam.errors import RunError
+from slam.nav2_map import write_map_png, write_nav2_map
+from slam.offline import Result
+from slam.trajectory import format_stamp, write_tum
+
+
+@contextmanager
+def new_run(out: Path) -> Iterator[Path]:
+    """A `.partial` directory that takes the name `out` if the block ends well, or else is removed.
+
+    Raises:
+        RunError: `out` exists already, or cannot be made.
+    """
+    if out.exists():
+        raise RunError(f"{out}: exists already; choose another --out or remove it first")
+    partial = out.with_name(out.name + ".partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise RunError(
+            f"{partial}: cannot be made: {error.strerror}; choose another --out"
+        ) from error
+    try:
+        yield partial
+        os.replace(partial, out)
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise RunError(f"{out}: cannot be written: {error.strerror}") from error
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def write_results(
+    directory: Path, result: Result, identity: Mapping[str, str], config_json: bytes
+) -> None:
+    """Write all of a run but its summary; deterministic but for the identity."""
+    write_tum(directory / "trajectory.tum", result.trajectory)
+    write_tum(directory / "keyframes.tum", result.keyframes)
+    write_tum(directory / "odometry.tum", result.odometry)
+    write_g2o(directory / "graph.g2o", result.keyframes.poses, result.edges, result.weights)
+    write_times(directory / "graph.times.csv", result)
+    write_nav2_map(directory, result.grid)
+    write_map_png(directory / "map.png", result.grid, result.trajectory)
+    _write_log(directory / "run.mcap", result, identity, config_json)
+
+
+def write_times(path: Path, result: Result) -> None:
+    """The stamps that g2o has no place for: vertex, scan of the log, seconds."""
+    rows = ["vertex,scan,stamp_s"]
+    rows += [
+        f"{k.index},{k.scan_index},{format_stamp(k.scan.stamp_ns)}" for k in result.slam.keyframes
+    ]
+    path.write_text("\n".join(rows) + "\n", encoding="ascii")
+
+
+def _write_log(path: Path, result: Result, identity: Mapping[str, str], config_json: bytes) -> None:
+    slam = result.slam
+    with LogWriter(path, identity, keep_partial=False) as log:
+        log.add_attachment("config.json", config_json, "application/json")
+        log.write(slam.mount)
+        for group in (
+            result.truth, slam.decisions, slam.factors, slam.loops.verdicts, result.estimates,
+            [result.grid],
+        ):  # fmt: skip
+            for message in group:
+                log.write(message)
+
+
+def write_summary(directory: Path, summary: Mapping[str, Any]) -> None:
+    """`summary.json`, the last file of a run."""
+    text = json.dumps(summary, indent=2, allow_nan=False)
+    (directory / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def version() -> str:
+    """Version of this software, as logs and summaries state it."""
+    return library_name().rpartition("/")[2]
