@@ -12,14 +12,15 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import IO, Self
 
 from mcap.writer import CompressionType, Writer
 
 from logs import protos
 from logs.attachments import ATTACHMENT_LIMIT, Attachment, is_plain_name
 from logs.errors import LogError
-from logs.mcap_read import SCHEMA_VERSION, Log, open_log
+from logs.mcap_open import SCHEMA_VERSION, open_log
+from logs.mcap_read import Log
 from logs.messages import Message
 from logs.partial import PartialFile
 from logs.schemas import CHANNELS, STAMP_LIMIT, Channel, topic_of
@@ -39,6 +40,19 @@ def library_name() -> str:
         return f"sdp-slam/{version('sdp-slam')}"
     except PackageNotFoundError:  # run from a checkout that is not installed
         return "sdp-slam/unknown"
+
+
+def new_writer(stream: IO[bytes], chunk_bytes: int) -> Writer:
+    """Start an MCAP file as all of ours are: no profile, zstd, every checksum."""
+    writer = Writer(
+        stream,
+        chunk_size=chunk_bytes,
+        compression=CompressionType.ZSTD,
+        enable_crcs=True,
+        enable_data_crcs=True,
+    )
+    writer.start(profile="", library=library_name())
+    return writer
 
 
 class LogWriter:
@@ -77,15 +91,8 @@ class LogWriter:
         self._sequences: dict[str, int] = {}
         self._last_receipt_ns = 0
         self._closed = False
-        self._writer = Writer(
-            self._file.stream,
-            chunk_size=CHUNK_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
         with self._disk():
-            self._writer.start(profile="", library=library_name())
+            self._writer = new_writer(self._file.stream, CHUNK_BYTES)
             self._writer.add_metadata("run", {**(run or {}), "schema_version": str(SCHEMA_VERSION)})
             self._sync()
 

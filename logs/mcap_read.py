@@ -13,29 +13,21 @@ from mcap import records
 from mcap.opcode import Opcode
 
 from logs.attachments import Attachment, is_plain_name
-from logs.errors import LogError, NewerSchema, shown
+from logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
 from logs.mcap_file import (
     MAGIC,
     PARSE_ERRORS,
     Damaged,
-    Inner,
-    RawMessage,
     Record,
     attachment_of,
     indexed_messages,
-    inner_records,
-    message_of,
     read_body,
     stream,
-    unpack_chunk,
     walk,
 )
-from logs.mcap_summary import Summary, open_file, read_summary
+from logs.mcap_summary import Summary
 from logs.messages import Message
 from logs.schemas import CHANNELS, STAMP_LIMIT, decode
-
-SCHEMA_VERSION = 1
-"""Version of channels and fields; raised when an old reader would misread a new file."""
 
 
 class Log:
@@ -55,7 +47,7 @@ class Log:
         """Yield each message with its time of receipt in ns, in file order."""
         wanted = CHANNELS.keys() if topics is None else CHANNELS.keys() & set(topics)
         topic_of_id: dict[int, str | None] = {}
-        for raw in self._raw_messages():
+        for raw in self.raw_messages():
             if raw.channel_id not in topic_of_id:
                 topic_of_id[raw.channel_id] = self._topic(raw.channel_id)
             topic = topic_of_id[raw.channel_id]
@@ -82,7 +74,8 @@ class Log:
         fits = ours is not None and (schema.name if schema else "") == ours.schema_name
         return channel.topic if fits else None
 
-    def _raw_messages(self) -> Iterator[RawMessage]:
+    def raw_messages(self) -> Iterator[RawMessage]:
+        """Yield the messages of all channels, undecoded, in file order; damage is counted."""
         seen = 0
         for record in self._records():
             try:
@@ -132,12 +125,27 @@ class Log:
             self.skipped[f"rest of the file: {error}"] += 1
 
     def channels(self) -> dict[str, str]:
-        """Return every topic in the file, ours or not, with the name of its schema."""
+        """Return every topic in the file, ours or not, with the name of its schema.
+
+        In a file without a summary, only channels met so far are known.
+        """
+        return dict(self.channel_ids().values())
+
+    def channel_ids(self) -> dict[int, tuple[str, str]]:
+        """Return topic and schema name of every channel known so far, by its number."""
         schemas = self._summary.schemas
         return {
-            channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else ""
+            channel.id: (
+                channel.topic,
+                schemas[channel.schema_id].name if channel.schema_id in schemas else "",
+            )
             for channel in self._summary.channels.values()
         }
+
+    @property
+    def has_summary(self) -> bool:
+        """Whether the file lists its channels at its end; some programs leave that out."""
+        return self._summary.statistics is not None or bool(self._summary.channels)
 
     def counts(self) -> dict[str, int]:
         """Return the number of messages per topic, as the file states it or by reading it."""
@@ -146,7 +154,7 @@ class Log:
         if statistics is not None:
             by_id.update(statistics.channel_message_counts)
         else:
-            by_id.update(raw.channel_id for raw in self._raw_messages())
+            by_id.update(raw.channel_id for raw in self.raw_messages())
         counts: Counter[str] = Counter()
         for channel_id, channel in sorted(self._summary.channels.items()):
             counts[channel.topic] += by_id[channel_id]
@@ -201,51 +209,3 @@ class Log:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-def open_log(path: Path | str) -> Log:
-    """Open an MCAP log for reading; use it in a `with` block.
-
-    Raises:
-        TruncatedLog: if the recording was cut off.
-        NewerSchema: if a newer version of this program wrote it.
-        LogError: if it is no MCAP log, or has no channel of ours.
-    """
-    path = Path(path)
-    file = open_file(path)
-    try:
-        log = Log(path, file, read_summary(file, path))
-        _require_known_version(log)
-        _require_our_channels(log)
-    except BaseException:
-        file.close()
-        raise
-    return log
-
-
-def _require_known_version(log: Log) -> None:
-    stated = log.metadata().get("run", {}).get("schema_version")
-    if stated is None:
-        return
-    if not (stated.isascii() and stated.isdigit() and len(stated) < 10):
-        raise LogError(f"{log.path}: schema version {shown(stated)!r} is not a number")
-    if int(stated) > SCHEMA_VERSION:
-        raise NewerSchema(
-            f"{log.path}: written by a newer version (schema {int(stated)}, this one reads up to "
-            f"{SCHEMA_VERSION}): upgrade with `pip install --upgrade sdp-slam`"
-        )
-
-
-def _require_our_channels(log: Log) -> None:
-    channels = log.channels()
-    ours = {topic for topic, schema in channels.items() if _is_ours(topic, schema)}
-    if channels and not ours:
-        found = ", ".join(f"{shown(t)} ({shown(s) or 'no schema'})" for t, s in channels.items())
-        raise LogError(
-            f"{log.path}: has none of our channels, only {found[:400]}: "
-            "ROS bags become logs with `slam import`"
-        )
-
-
-def _is_ours(topic: str, schema_name: str) -> bool:
-    return topic in CHANNELS and CHANNELS[topic].schema_name == schema_name

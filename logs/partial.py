@@ -17,14 +17,14 @@ class PartialFile:
     older one is never overwritten: it may be the only copy of a recording.
     """
 
-    def __init__(self, path: Path, keep: bool) -> None:
-        """Open `NAME.partial`.
+    def __init__(self, path: Path, keep: bool, suffix: str = ".partial") -> None:
+        """Open `NAME.partial`, or with another suffix where that name may be the source's.
 
         Raises:
             LogError: if it cannot be created, or is there already and `keep` is set.
         """
         self.path = path
-        self.partial = path.with_name(path.name + ".partial")
+        self.partial = path.with_name(path.name + suffix)
         self.keep = keep
         if path.is_dir():
             raise LogError(f"{path}: is a folder: name a file to write")

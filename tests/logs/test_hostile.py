@@ -121,6 +121,25 @@ def test_a_damaged_attachment_is_not_handed_out(tmp_path: Path):
     assert recover(path, tmp_path / "b.mcap").lost
 
 
+@pytest.mark.parametrize("chunked", [False, True])
+def test_a_foreign_file_without_a_summary_is_refused_too(tmp_path: Path, chunked: bool):
+    data = channel_records("/camera") + GOOD * 3
+    part = chunk_record(data, len(data), "") if chunked else data
+    with pytest.raises(LogError, match=r"none of our channels, only /camera"):
+        open_log(mcap_of(tmp_path / "a.mcap", part))
+
+
+def test_our_channel_behind_a_foreign_one_is_found_without_a_summary(tmp_path: Path):
+    foreign = channel_records("/camera") + GOOD
+    ours = channel_records().replace(
+        b"\x01\x00\x01\x00\x05\x00\x00\x00/odom", b"\x02\x00\x01\x00\x05\x00\x00\x00/odom"
+    ) + message_record(encode(WheelOdometry(0, 1.0, 2.0, 3.0)), channel=2)
+    path = mcap_of(tmp_path / "a.mcap", foreign, ours)
+    with open_log(path) as log:
+        assert len(list(log.messages())) == 1
+        assert not log.skipped
+
+
 def test_a_log_is_read_without_holding_it_in_memory(tmp_path: Path):
     data = channel_records() + GOOD * 5_000
     chunk = chunk_record(zstandard.compress(data), len(data))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -11,8 +12,9 @@ from logs.errors import LogError
 from logs.mcap_file import MAGIC, walk
 from logs.mcap_log import LogWriter, open_log
 from logs.mcap_summary import read_summary
-from logs.messages import WheelOdometry
+from logs.messages import LaserScan, WheelOdometry
 from logs.recover import recover
+from tests.logs.strategies import content
 
 
 def write_in_chunks(path: Path, chunks: int = 6, per_chunk: int = 4) -> list[WheelOdometry]:
@@ -93,7 +95,7 @@ def test_what_was_lost_is_described(tmp_path: Path):
 
 @given(st.data())
 @settings(
-    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_flipped_bytes_lose_chunks_but_never_invent_messages(tmp_path: Path, data):
     messages = write_in_chunks(tmp_path / "a.mcap")
@@ -147,3 +149,40 @@ def test_recovering_needs_a_log_and_another_name(tmp_path: Path):
     with pytest.raises(LogError, match="not an MCAP"):
         recover(tmp_path / "text", tmp_path / "b.mcap")
     assert not (tmp_path / "b.mcap").exists()
+
+
+def test_an_unfinished_recording_is_recovered_under_the_name_it_should_have_had(tmp_path: Path):
+    log = LogWriter(tmp_path / "a.mcap")
+    log.write(WheelOdometry(1, 0.0, 0.0, 0.0))
+    log.sync()
+    log.abandon()
+    whole = (tmp_path / "a.mcap.partial").read_bytes()
+    report = recover(tmp_path / "a.mcap.partial", tmp_path / "a.mcap")
+    assert report.messages == {"/odom": 1}
+    assert (tmp_path / "a.mcap.partial").read_bytes() == whole
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "a.mcap.partial"]
+
+
+def random_scans(n: int) -> list[LaserScan]:
+    """Return scans that hardly compress: each chunk has several blocks."""
+    rng = np.random.default_rng(7)
+    return [LaserScan(k, 0.0, 0.01, rng.random(1081).astype(np.float32)) for k in range(n)]
+
+
+def test_of_a_large_chunk_that_is_cut_the_whole_blocks_are_saved(tmp_path: Path):
+    scans = random_scans(29)  # 250 kB: one chunk of two blocks
+    with LogWriter(tmp_path / "a.mcap") as log:
+        for scan in scans:
+            log.write(scan)
+    whole = (tmp_path / "a.mcap").read_bytes()
+    (start,) = chunk_starts(tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        end = next(walk(file, start, len(whole))).end
+    (tmp_path / "cut.mcap").write_bytes(whole[: end - 100])
+    report = recover(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    assert report.lost
+    assert 10 <= report.unchecked < len(scans)
+    assert "saved, unchecked" in report.problems[0]
+    with open_log(tmp_path / "out.mcap") as log:
+        saved = list(log.messages())
+    assert [content(a) for a in saved] == [content(b) for b in scans[: report.unchecked]]
