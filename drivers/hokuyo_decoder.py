@@ -1,0 +1,159 @@
+"""From the bytes of a Hokuyo to laser scans, live and in replay alike."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+from drivers.clock import ClockConfig, DeviceClock
+from drivers.scip_protocol import Reply, ReplyFramer, decode_information, decode_number, is_sound
+from drivers.scip_scan import (
+    SCAN_SYMBOLS,
+    RawScan,
+    SensorParameters,
+    decode_scan,
+    parameters_from,
+    ranges_m,
+)
+from logs.messages import LaserScan, RawBytes, SensorMessage
+
+_CLOCK_COMMANDS = (b"TM0", b"RS", b"RT", b"RB")  # behind these the counter has a new epoch
+
+
+class HokuyoDecoder:
+    """Turns raw bytes of both directions into scans; equal bytes and stamps, equal messages.
+
+    Geometry, limits and rate are those that the sensor states in PP; a scan before that is
+    counted, not guessed at.
+    """
+
+    def __init__(self, reach_m: float = math.inf, clock: ClockConfig | None = None) -> None:
+        """Ranges beyond `reach_m` are reported as inf; DMAX is a limit anyway."""
+        self.parameters: SensorParameters | None = None
+        self.version: dict[str, str] = {}
+        self.state: dict[str, str] = {}
+        self.scans = 0
+        self.missing = 0  # scans that the sensor's clock says there were, but none arrived
+        self.lost: Counter[str] = Counter()  # replies that came but could not be used, by cause
+        self.clock = DeviceClock(clock)
+        self._reach_m = reach_m
+        self._framer = ReplyFramer()
+        self._asked_ns: int | None = None  # when TM1 was sent
+        self._last_stamp: int | None = None
+        self._last_count: int | None = None
+
+    def counters(self) -> dict[str, int]:
+        """What came in and what was lost, by cause."""
+        return {
+            "scans": self.scans,
+            "missing_scans": self.missing,
+            "skipped_bytes": self._framer.skipped_bytes,
+            "clock_restarts": self.clock.restarts,
+            "distrusted_syncs": self.clock.distrusted_syncs,
+            **{f"lost_{cause}": count for cause, count in sorted(self.lost.items())},
+        }
+
+    def decode(self, raw: RawBytes) -> Iterator[SensorMessage]:
+        """Yield the scans that these bytes complete."""
+        for item in self.accept(raw):
+            if not isinstance(item, Reply):
+                yield item
+
+    def accept(self, raw: RawBytes) -> Iterator[Reply | SensorMessage]:
+        """Yield every reply of the sensor, and behind it the scan it carries."""
+        if raw.direction == "tx":
+            self._note_command(raw)
+            return
+        for reply in self._framer.feed(raw.data, raw.stamp_ns):
+            yield reply
+            symbol = reply.symbol
+            if symbol in SCAN_SYMBOLS:
+                yield from self._scan(reply)
+            elif symbol == "TM":
+                self._synchronise(reply)
+            elif symbol in ("PP", "VV", "II") and reply.status == "00":
+                self._inform(symbol, reply)
+
+    def _note_command(self, raw: RawBytes) -> None:
+        if raw.data.startswith(_CLOCK_COMMANDS):
+            self.clock.restart()
+            self._last_count = None
+        if raw.data.startswith(b"TM1"):
+            self._asked_ns = raw.stamp_ns
+
+    def _inform(self, symbol: str, reply: Reply) -> None:
+        """Take what the sensor says about itself; PP must be whole, the others are for people."""
+        values, damaged = decode_information(reply.lines)
+        if symbol == "VV":
+            self.version = values
+        elif symbol == "II":
+            self.state = values
+        elif damaged:
+            self.lost["damaged_parameters"] += 1
+        else:
+            self.parameters = parameters_from(values) or self.parameters
+
+    def _synchronise(self, reply: Reply) -> None:
+        if reply.status != "00" or not reply.lines or self._asked_ns is None:
+            return
+        if len(reply.lines[0]) == 5 and is_sound(reply.lines[0]):
+            try:
+                count = decode_number(reply.lines[0][:-1])
+            except ValueError:
+                return
+            self.clock.synchronise(count, self._asked_ns, reply.begun_ns)
+            self._asked_ns = None
+
+    def _scan(self, reply: Reply) -> Iterator[LaserScan]:
+        if reply.status not in ("00", "99"):
+            self.lost[f"status_{reply.status}"] += 1
+            return
+        if reply.status == "00" and not reply.lines:
+            return  # MD says that it has understood
+        raw = decode_scan(reply)
+        if raw is None:
+            self.lost["damaged"] += 1
+        elif self.parameters is None:
+            self.lost["without_parameters"] += 1
+        else:
+            yield from self._stamped(raw, reply, self.parameters)
+
+    def _stamped(self, raw: RawScan, reply: Reply, sensor: SensorParameters) -> Iterator[LaserScan]:
+        """Give a scan its time and its geometry."""
+        request = raw.request
+        if not sensor.first_step <= request.start <= request.end <= sensor.last_step:
+            self.lost["damaged"] += 1
+            return
+        lag_ns = round(request.end * sensor.step_s * 1e9)  # it is sent when the sweep is done
+        zero_ns = self.clock.observe(raw.timestamp, reply.begun_ns, lag_ns)
+        if zero_ns is None:
+            self.lost["impossible_time"] += 1
+            return
+        self._count_missing(raw, sensor)
+        cluster = max(request.cluster, 1)
+        # A cluster has no direction but its middle; its last one may be narrower than that.
+        first = request.start + 0.5 * (cluster - 1)
+        stamp = zero_ns + round(first * sensor.step_s * 1e9)
+        if self._last_stamp is not None and stamp <= self._last_stamp:
+            stamp = self._last_stamp + 1000  # the clock has been set back; order matters more
+            self.lost["stamp_order"] += 1
+        self._last_stamp = stamp
+        self.scans += 1
+        yield LaserScan(
+            stamp_ns=stamp,
+            angle_min=sensor.bearing(first),
+            angle_step=cluster * sensor.step_rad,
+            ranges=ranges_m(raw.distances, sensor, self._reach_m),
+            range_min=sensor.range_min_mm * 1e-3,
+            range_max=min(sensor.range_max_mm * 1e-3, self._reach_m),
+            beam_period_s=cluster * sensor.step_s,
+        )
+
+    def _count_missing(self, raw: RawScan, sensor: SensorParameters) -> None:
+        """Count the scans between this one and the last by the sensor's own clock."""
+        if self._last_count is not None and raw.request.streams:
+            passed_s = (raw.timestamp - self._last_count) % (1 << 24) * 1e-3
+            periods = round(passed_s / (sensor.sweep_s * (raw.request.skip + 1)))
+            self.missing += max(0, periods - 1)
+        self._last_count = raw.timestamp
