@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+from logs.errors import LogError
 from logs.mcap_file import RECORD_LIMIT
 
 ATTACHMENT_LIMIT = RECORD_LIMIT - 4096  # bytes; the rest is for names and lengths
@@ -28,3 +30,15 @@ def is_plain_name(name: str) -> bool:
         and not name.startswith(".")
         and not set(name) & set('/\\:*?"<>|')
     )
+
+
+def check_attachment(log: Path, name: str, data: bytes) -> None:
+    """Refuse an attachment that a log should not hold.
+
+    Raises:
+        LogError: if the name is not plain or the data too large.
+    """
+    if not is_plain_name(name):
+        raise LogError(f"{log}: attachment name {name!r} is not a plain file name")
+    if len(data) > ATTACHMENT_LIMIT:
+        raise LogError(f"{log}: attachment {name} is larger than a log can hold")

@@ -17,7 +17,7 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from logs import protos
-from logs.attachments import ATTACHMENT_LIMIT, Attachment, is_plain_name
+from logs.attachments import Attachment, check_attachment
 from logs.errors import LogError
 from logs.mcap_open import SCHEMA_VERSION, open_log
 from logs.mcap_read import Log
@@ -91,6 +91,7 @@ class LogWriter:
         self._sequences: dict[str, int] = {}
         self._last_receipt_ns = 0
         self._closed = False
+        self.slowest_sync_s = 0.0
         with self._disk():
             self._writer = new_writer(self._file.stream, CHUNK_BYTES)
             self._writer.add_metadata("run", {**(run or {}), "schema_version": str(SCHEMA_VERSION)})
@@ -147,13 +148,20 @@ class LogWriter:
         Raises:
             LogError: if the name is not plain, the data too large, or the disk fails.
         """
-        if not is_plain_name(name):
-            raise LogError(f"{self.path}: attachment name {name!r} is not a plain file name")
-        if len(data) > ATTACHMENT_LIMIT:
-            raise LogError(f"{self.path}: attachment {name} is larger than a log can hold")
+        check_attachment(self.path, name, data)
         at = self._last_receipt_ns
         with self._disk():
             self._writer.add_attachment(at, at, name, media_type, data)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the log takes no more, be it finished or because the disk failed."""
+        return self._closed
+
+    @property
+    def bytes_written(self) -> int:
+        """Size of the file so far, without the chunk in progress."""
+        return 0 if self._closed else self._file.stream.tell()
 
     def close(self) -> None:
         """Write the index and give the file its name.
@@ -201,9 +209,11 @@ class LogWriter:
         return channel_id
 
     def _sync(self) -> None:
+        began = self._clock()
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.sync()
-        self._synced_at = self._clock()
+        self._synced_at = began  # not its end: a slow disk must not stretch the period
+        self.slowest_sync_s = max(self.slowest_sync_s, self._clock() - began)
 
     def __enter__(self) -> Self:
         return self
