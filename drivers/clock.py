@@ -52,6 +52,11 @@ class DeviceClock:
         return self._slope
 
     @property
+    def offset_s(self) -> float | None:
+        """Host time minus device time in s by the quickest round trip, None if there was none."""
+        return None if self._anchor is None else self._anchor * 1e-9
+
+    @property
     def synchronised(self) -> bool:
         """Whether a round trip has been measured since the last restart."""
         return self._anchor is not None

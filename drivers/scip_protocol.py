@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 
 from drivers.stamped_buffer import StampedBuffer
@@ -244,7 +245,7 @@ class ReplyFramer:
             begins.append(begins[-1] + len(line) + 1)
         self.skipped_bytes += begins[starts[0]] if starts else len(block)
         replies = []
-        for first, after in zip(starts, [*starts[1:], len(lines)], strict=True):
+        for first, after in pairwise([*starts, len(lines)]):
             status = lines[first + 1]
             reply = Reply(
                 lines[first].rstrip(b"\r"),
