@@ -1,0 +1,186 @@
+"""What is connected to a port: asks politely, changes nothing, and says what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from drivers.arcos_reports import StandardReport
+from drivers.connection import Clock, Received, steady_utc
+from drivers.errors import DriverError, PortError
+from drivers.hokuyo import Hokuyo, HokuyoConfig
+from drivers.hokuyo_decoder import HokuyoDecoder
+from drivers.pioneer import Pioneer, PioneerConfig
+from drivers.pioneer_decoder import PioneerDecoder
+from drivers.ports import Port, open_port
+from logs.messages import LaserScan, WheelOdometry
+
+Kind = Literal["laser", "p3dx"]
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeReport:
+    """What stands at a port, in words that an operator can act on."""
+
+    port: str
+    kind: Kind | None  # None if nothing known answered
+    title: str  # who it is, or why nothing can be said
+    facts: tuple[tuple[str, str], ...] = ()  # name and value, in order of importance
+    advice: tuple[str, ...] = ()  # what to do next, empty if all is well
+
+    @property
+    def sound(self) -> bool:
+        """Whether a device answered and nothing is wrong with it."""
+        return self.kind is not None and not self.advice
+
+
+class _Count:
+    """Counts the messages that a session hands over."""
+
+    def __init__(self, kind: type) -> None:
+        self.stamps: list[int] = []
+        self._kind = kind
+
+    def __call__(self, received: Received) -> None:
+        if isinstance(received.message, self._kind):
+            self.stamps.append(received.receipt_ns)
+
+    def rate_hz(self) -> float:
+        """Return messages a second, 0 if there are too few to tell."""
+        if len(self.stamps) < 2 or self.stamps[-1] == self.stamps[0]:
+            return 0.0
+        return (len(self.stamps) - 1) / ((self.stamps[-1] - self.stamps[0]) * 1e-9)
+
+
+def probe(
+    name: str,
+    seconds: float = 1.5,
+    kinds: tuple[Kind, ...] = ("laser", "p3dx"),
+    *,
+    clock: Clock | None = None,
+    opener: Callable[[str, int], Port] = open_port,
+) -> ProbeReport:
+    """Find out what is connected to port `name`, listening to it for `seconds`.
+
+    The laser is asked first: its questions are harmless to a Pioneer, which skips them.
+    Motors are not touched.  Raises nothing of ours: what goes wrong is in the report.
+    """
+    clock = clock or steady_utc()
+    silent: list[str] = []
+    for kind in kinds:
+        look = _probe_laser if kind == "laser" else _probe_pioneer
+        try:
+            return look(name, seconds, clock, opener)
+        except PortError as error:
+            return ProbeReport(name, None, "the port cannot be opened", advice=(str(error),))
+        except DriverError as error:
+            silent.append(str(error))
+    return ProbeReport(name, None, "nothing known answers here", advice=tuple(silent))
+
+
+def _probe_laser(
+    name: str, seconds: float, clock: Clock, opener: Callable[[str, int], Port]
+) -> ProbeReport:
+    count = _Count(LaserScan)
+    laser = Hokuyo(HokuyoConfig(port=name, attempts=2), count, clock, opener)
+    try:
+        laser.connect()
+        _listen(laser, seconds, clock)
+    finally:
+        laser.close()
+    return _laser_report(name, laser.decoder, count.rate_hz())
+
+
+def _probe_pioneer(
+    name: str, seconds: float, clock: Clock, opener: Callable[[str, int], Port]
+) -> ProbeReport:
+    count = _Count(WheelOdometry)
+    robot = Pioneer(PioneerConfig(port=name), count, clock, opener)
+    try:
+        title = robot.connect()
+        _listen(robot, seconds, clock)
+    finally:
+        robot.close()
+    return _pioneer_report(name, title, robot.decoder, count.rate_hz())
+
+
+def _listen(session: Hokuyo | Pioneer, seconds: float, clock: Clock) -> None:
+    end = clock() + round(seconds * 1e9)
+    while clock() < end:
+        session.poll()
+
+
+def _laser_report(name: str, decoder: HokuyoDecoder, rate_hz: float) -> ProbeReport:
+    sensor = decoder.parameters
+    facts = [(key, value) for key, value in (*decoder.version.items(), *decoder.state.items())]
+    advice = []
+    if sensor is not None:
+        first, last = (
+            sensor.bearing(step) * 57.29578 for step in (sensor.first_step, sensor.last_step)
+        )
+        facts += [
+            ("field of view", f"{first:.1f} to {last:.1f} deg"),
+            ("range", f"{sensor.range_min_mm} to {sensor.range_max_mm} mm"),
+            ("rate by its own account", f"{1.0 / sensor.sweep_s:.1f} Hz"),
+        ]
+        if rate_hz < 0.9 / sensor.sweep_s:
+            advice.append(
+                f"only {rate_hz:.1f} scans a second come in: use a faster line, or ask for fewer "
+                "beams (cluster) or scans (skip)"
+            )
+    facts.append(("rate measured", f"{rate_hz:.1f} Hz"))
+    offset = decoder.clock.offset_s
+    facts.append(("clock offset", "not measured" if offset is None else f"{offset:.3f} s"))
+    status = decoder.state.get("STAT", "")
+    if status and not any(word in status.lower() for word in ("well", "stable", "normal")):
+        advice.append(f"the sensor reports a fault: {status}")
+    damaged = decoder.lost["damaged"]
+    if damaged:
+        advice.append(f"{damaged} scans arrived damaged: check cable and plugs")
+    title = decoder.version.get("PROD") or (sensor.model if sensor else "Hokuyo")
+    return ProbeReport(name, "laser", title, tuple(facts), tuple(advice))
+
+
+def _pioneer_report(name: str, title: str, decoder: PioneerDecoder, rate_hz: float) -> ProbeReport:
+    facts = [("connection", title)]
+    advice = []
+    if decoder.identity is not None:
+        facts += [("name", decoder.identity.name), ("subclass", decoder.identity.subclass)]
+    if (config := decoder.config) is not None:
+        facts += [
+            ("serial number", config.serial),
+            ("report cycle", f"{config.sip_cycle} ms"),
+            ("watchdog", f"{config.watchdog} ms"),
+        ]
+    else:
+        facts.append(("configuration", "none, or damaged as on every p3dx-sh: defaults are used"))
+    facts.append(("rate measured", f"{rate_hz:.1f} Hz"))
+    if decoder.latest is not None:
+        more, warnings = _condition(decoder.latest)
+        facts += more
+        advice += warnings
+    cycle_s = 0.1 if decoder.config is None else max(decoder.config.sip_cycle, 1) * 1e-3
+    if rate_hz < 0.8 / cycle_s:
+        advice.append("fewer reports than the robot's cycle promises: is 9600 baud too slow?")
+    # A CONFIGpac whose sum never fits counts as one, and a false header in it as another.
+    bad = decoder.counters()["bad_checksums"]
+    if bad > 2 or (bad and decoder.config is not None):
+        advice.append(f"{bad} packets arrived damaged: check cable and adapter")
+    return ProbeReport(name, "p3dx", title, tuple(facts), tuple(advice))
+
+
+def _condition(report: StandardReport) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return facts about a robot's state, and what is worrying in them."""
+    facts = [
+        ("battery", f"{report.volts:.1f} V"),
+        ("motors", "on" if report.motors_enabled else "off"),
+    ]
+    advice = []
+    if report.volts < 11.5:  # the manual's warning level for its lead batteries
+        advice.append(f"charge the batteries: {report.volts:.1f} V")
+    if any(report.stalled):
+        advice.append("a wheel is stalled")
+    if any(report.bumpers):
+        advice.append("a bumper touches something")
+    return facts, advice
