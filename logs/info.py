@@ -1,0 +1,125 @@
+"""What a log holds and what it lost, read in one pass without keeping messages."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from logs.mcap_open import open_log
+from logs.mcap_read import Log
+from logs.schemas import CHANNELS, STAMP_LIMIT
+from logs.timing import Timing, TimingCounter
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """One topic of a log."""
+
+    topic: str
+    schema: str  # empty for raw bytes
+    known: bool  # whether it is a channel of ours, which replay reads
+    bytes: int  # of payload, unpacked
+    timing: Timing
+
+
+@dataclass(frozen=True, slots=True)
+class AttachmentInfo:
+    """A file inside the log."""
+
+    name: str
+    media_type: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """A log at a glance.  Text in it comes from the file: show it through `errors.shown`."""
+
+    path: str
+    bytes: int
+    first_received_ns: int  # 0 if there are no messages
+    last_received_ns: int
+    channels: tuple[ChannelInfo, ...]  # by topic
+    run: dict[str, str]  # the run's identity
+    metadata: dict[str, dict[str, str]]  # every other metadata record
+    attachments: tuple[AttachmentInfo, ...]
+    lost_recording: dict[str, int]  # dropped or refused while recording, per cause
+    lost_reading: dict[str, int]  # damaged or malformed, per cause
+
+    @property
+    def messages(self) -> int:
+        """Messages on all channels."""
+        return sum(channel.timing.messages for channel in self.channels)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first receipt to the last."""
+        return (self.last_received_ns - self.first_received_ns) * 1e-9
+
+    @property
+    def lost(self) -> bool:
+        """Whether anything was lost, recording or reading."""
+        return bool(self.lost_recording or self.lost_reading)
+
+
+def read_info(path: Path | str) -> LogInfo:
+    """Read a log once and return what it holds; payloads are not decoded.
+
+    Raises:
+        LogError: if it cannot be opened as one of our logs.
+    """
+    path = Path(path)
+    with open_log(path) as log:
+        timings: dict[int, TimingCounter] = {}
+        sizes: Counter[int] = Counter()
+        first, last = STAMP_LIMIT, 0
+        for raw in log.raw_messages():
+            if raw.publish_time >= STAMP_LIMIT or raw.log_time >= STAMP_LIMIT:
+                log.skipped["time after the year 2262"] += 1
+                continue
+            timings.setdefault(raw.channel_id, TimingCounter()).add(raw.publish_time)
+            sizes[raw.channel_id] += len(raw.data)
+            first, last = min(first, raw.log_time), max(last, raw.log_time)
+        for number in timings.keys() - log.channel_ids().keys():
+            cause = "messages of a channel that is nowhere described"
+            log.skipped[cause] += timings[number].count
+        metadata = log.metadata()
+        attachments = [AttachmentInfo(a.name, a.media_type, len(a.data)) for a in log.attachments()]
+        return LogInfo(
+            str(path),
+            path.stat().st_size,
+            first if timings else 0,
+            last,
+            _channels(log, timings, sizes),
+            metadata.pop("run", {}),
+            metadata,
+            tuple(attachments),
+            recording_losses(metadata),
+            dict(log.skipped),
+        )
+
+
+def recording_losses(metadata: dict[str, dict[str, str]]) -> dict[str, int]:
+    """Return what the recorder noted of messages it could not write, and `recover` of bytes."""
+    noted = metadata.get("recording", {})
+    losses = {cause: int(n) for cause, n in noted.items() if _is_count(n)}
+    lost_bytes = metadata.get("recovered", {}).get("lost_bytes", "0")
+    if _is_count(lost_bytes) and int(lost_bytes) > 0:
+        losses["bytes that `slam recover` could not read"] = int(lost_bytes)
+    return losses
+
+
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 19
+
+
+def _channels(
+    log: Log, timings: dict[int, TimingCounter], sizes: Counter[int]
+) -> tuple[ChannelInfo, ...]:
+    listed = []
+    for number, (topic, schema) in log.channel_ids().items():
+        timing = timings.get(number, TimingCounter()).result()
+        ours = topic in CHANNELS and CHANNELS[topic].schema_name == schema
+        listed.append(ChannelInfo(topic, schema, ours, sizes[number], timing))
+    return tuple(sorted(listed, key=lambda channel: channel.topic))
