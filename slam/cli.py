@@ -33,8 +33,10 @@ LOSS = 3  # exit code: finished, but data was lost or skipped
 @app.command()
 def simulate(
     world: Annotated[str, typer.Argument(help="Name of a world; `list` names them all.")],
-    out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
-    seed: Annotated[int, typer.Option(help="Geometry, noise and odometry follow from it.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Log to write (.mcap).")] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Geometry, noise and odometry follow from it.")
+    ] = 0,
     laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
     noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
 ) -> None:
@@ -44,6 +46,8 @@ def simulate(
     if world == "list":
         typer.echo("\n".join(world_names()))
         return
+    if out is None:
+        raise typer.BadParameter("say where to write the log: --out FILE.mcap")
     count = simulate_log(world, out, seed, laser, noise)
     _say(f"{out}: {count} messages")
 
@@ -219,30 +223,46 @@ def _tell_figures(figures: dict[str, Any]) -> None:
         )
 
 
-class _Terminated(BaseException):
-    """SIGTERM, as an exception, so that files are closed on the way out."""
+class _Signalled(BaseException):
+    """A signal to stop, as an exception, so that files are closed on the way out."""
 
 
-def _on_sigterm(number: int, frame: FrameType | None) -> None:
-    raise _Terminated
+_received: list[int] = []  # the signals that came, in order
+
+
+def _on_signal(number: int, frame: FrameType | None) -> None:
+    _received.append(number)
+    raise _Signalled
 
 
 def main() -> None:
     """Entry point of the console script: known errors become one line and an exit code."""
-    signal.signal(signal.SIGTERM, _on_sigterm)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _on_signal)
     try:
         app()
-    except KeyboardInterrupt:
-        _say("slam: interrupted; nothing half-written is left")
-        raise SystemExit(130) from None
-    except _Terminated:
-        _say("slam: terminated; nothing half-written is left")
-        raise SystemExit(143) from None
-    except Exception as error:
-        if not _known(error):
+    except BaseException as error:
+        # A library that was being loaded may have made another error of the signal.
+        if _received:
+            word = "interrupted" if _received[0] == signal.SIGINT else "terminated"
+            _say(f"slam: {word}; nothing half-written is left")
+            raise SystemExit(128 + _received[0]) from None
+        if not isinstance(error, Exception) or not (line := _line(error)):
             raise
-        _say(f"slam: {error}")
+        _say(f"slam: {line}")
         raise SystemExit(1) from error
+
+
+def _line(error: Exception) -> str:
+    """What to tell the person at the terminal; empty if the error is a fault of ours."""
+    if _known(error):
+        return str(error)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}: check the disk and the permissions"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {error or 'the log is too long or the map too fine'}"
+    return ""
 
 
 def _known(error: Exception) -> bool:
