@@ -58,17 +58,20 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
     data: dict[str, Any] = {}
-    where = "--set"
     if path is not None:
-        where = str(path)
         try:
-            data = tomllib.loads(path.read_text())
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
+        _validated(data, str(path))  # so that a mistake in the file is not blamed on --set
     for override in overrides:
         _apply(data, override)
+    return _validated(data, "--set")
+
+
+def _validated(data: dict[str, Any], where: str) -> SlamConfig:
     try:
         return SlamConfig.model_validate(data)
     except ValidationError as error:
@@ -99,6 +102,10 @@ def describe(error: ValidationError) -> str:
     location = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         return f"unknown setting {location}{nearest(location, known_keys(SlamConfig))}"
+    if first["type"] == "model_type":
+        return f"{location} is a section: set {location}.NAME (got {first['input']!r})"
+    if first["type"] == "value_error":  # of several settings together
+        return f"{location}: {first['ctx']['error']}"
     return f"{location}: {first['msg']} (got {first['input']!r})"
 
 
