@@ -12,11 +12,11 @@ from rich.table import Table
 from drivers.simulators.drive import paper_drive
 from logs.mcap_log import LogWriter
 from slam.config import load_config
-from slam.errors import RunError
 from slam.replay import replay
 from slam.report import write_report
+from slam.run_directory import new_run
 
-READING: Literal["878cm"] = "878cm"  # 462 scans, 1.9 cm apart; the other reading of the paper is 180 cm
+READING: Literal["878cm"] = "878cm"  # 462 scans, 1.9 cm apart; not the 180 cm also stated
 CONSTANT = (1, 5, 10, 15, 20)  # scans, Section V
 
 # Intervals count scans here, as in the paper, and the corridor has no loop to close.
@@ -30,14 +30,17 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
     Raises:
         RunError: `out` exists already or cannot be made.
     """
-    if out.exists():
-        raise RunError(f"{out}: exists already; choose another --out or remove it first")
-    try:
-        out.mkdir(parents=True)
-    except OSError as error:
-        raise RunError(f"{out}: cannot be made: {error.strerror}") from error
+    with new_run(out) as partial:
+        table = _compare(partial, say)
+    Console().print(table)
+    say(f"map:    {out / 'sdp-pe' / 'map.png'}")
+    Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
+
+
+def _compare(out: Path, say: Callable[[str], None]) -> Table:
+    """Fill the folder with the log, a run per method and their report."""
     log = out / "testbed.mcap"
-    say(f"driving 462 scans through the simulated test bed -> {log}")
+    say("driving 462 scans through the simulated test bed")
     with LogWriter(log, {"world": "testbed", "reading": READING}, keep_partial=False) as writer:
         for message in paper_drive(READING):
             writer.write(message)
@@ -48,12 +51,8 @@ def run_demo(out: Path, say: Callable[[str], None]) -> None:
         name = f"constant {interval}"
         summaries[name] = replay(log, out / f"constant-{interval}", load_config(None, sets))
     runs = [out / name.lower().replace(" ", "-") for name in summaries]
-    page = out / "report.html"
-    reports = write_report(runs, None, page)
-    figures = [report.figures for report in reports]
-    Console().print(comparison(summaries, figures))
-    say(f"map:    {out / 'sdp-pe' / 'map.png'}")
-    Console(soft_wrap=True).print(f"report: {page}")
+    reports = write_report(runs, None, out / "report.html")
+    return comparison(summaries, [report.figures for report in reports])
 
 
 def comparison(summaries: dict[str, dict[str, Any]], figures: list[dict[str, Any]]) -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,14 +103,22 @@ def write_report(
     known = read_truth(truth) if truth else None
     reports = tuple(_evaluate(read_run(path), known) for path in run_dirs)
     document = {"runs": [report.figures for report in reports]}
-    try:
-        out_html.write_text(render(reports), encoding="utf-8")
-        out_html.with_suffix(".json").write_text(
-            json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
-        )
-    except OSError as error:
-        raise ReportError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    figures = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    _write_whole(out_html, render(reports))
+    _write_whole(out_html.with_suffix(".json"), figures)
     return reports
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file that appears complete or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        reason = f"{error.strerror}: choose another --out"
+        raise ReportError(f"{path}: cannot be written: {reason}") from error
 
 
 def _evaluate(run: Run, truth: Truth | None) -> RunReport:

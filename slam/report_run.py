@@ -59,6 +59,8 @@ def read_run(directory: Path) -> Run:
     """
     if not directory.is_dir():
         raise ReportError(f"{directory}: no such run directory")
+    if not (directory / "trajectory.tum").is_file():
+        raise ReportError(f"{directory}: holds no trajectory.tum: not a directory of `slam replay`")
     warnings: list[str] = []
     trajectory = _finite(read_tum(directory / "trajectory.tum"), "trajectory.tum", warnings)
     if len(trajectory) == 0:

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +28,21 @@ def new_run(out: Path) -> Iterator[Path]:
     if out.exists():
         raise RunError(f"{out}: exists already; choose another --out or remove it first")
     partial = out.with_name(out.name + ".partial")
+    missing = [folder for folder in out.parents if not folder.exists()]
     try:
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
-    except OSError as error:
-        raise RunError(
-            f"{partial}: cannot be made: {error.strerror}; choose another --out"
-        ) from error
-    try:
         yield partial
         os.replace(partial, out)
-    except OSError as error:
+    except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
-        raise RunError(f"{out}: cannot be written: {error.strerror}") from error
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
+        with suppress(OSError):  # a folder that was there before, or holds something by now
+            for folder in missing:
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise RunError(
+                f"{out}: cannot be written: {error.strerror or error}; choose another --out"
+            ) from error
         raise
 
 
