@@ -12,13 +12,21 @@ from numpy.typing import NDArray
 
 from backend.edges import Edge
 from frontend.scan import prepare
-from logs.messages import LaserScan, Message, OccupancyMap, PoseEstimate, TruePose
+from logs.messages import (
+    LaserScan,
+    Message,
+    OccupancyMap,
+    PoseEstimate,
+    TruePose,
+    WheelOdometry,
+)
 from slam.config import SlamConfig
 from slam.localise import ScanLocaliser, refine_edges, warp
 from slam.occupancy import build_map
 from slam.pipeline import Slam
 from slam.stopwatch import NoWatch
 from slam.trajectory import Trajectory, compose
+from slam.usable import flaw
 
 Source = Callable[[], Iterable[Message]]
 Progress = Callable[[str, float], None]  # stage, share done
@@ -62,17 +70,26 @@ def run_offline(
         step: how a message is handed to the pipeline; replaced to time it.
 
     Raises:
-        SlamError: the log holds no usable scan.
+        SlamError: the log holds no usable scan, or no odometry.
     """
     watch, tell = watch or NoWatch(), progress or (lambda stage, done: None)
     slam = Slam(config, watch)
     truth: list[TruePose] = []
+    has_odometry = False
     for count, message in enumerate(_timed(source(), watch)):
+        if cause := flaw(message):
+            slam.lost[cause] += 1
+            continue
+        has_odometry = has_odometry or isinstance(message, WheelOdometry)
         step(slam, message)
         if isinstance(message, TruePose):
             truth.append(message)
         tell("tracking", count)
     slam.finish_input()
+    if slam.scan_stamps_ns and not has_odometry:
+        raise SlamError(
+            f"no usable odometry among {count + 1} messages: record the robot's wheels (/odom) too"
+        )
     return finish(slam, source, truth, watch, tell)
 
 
@@ -85,6 +102,7 @@ def finish(
         raise SlamError(
             f"no usable scan among {seen}: the log must hold scans with at least "
             f"{slam.config.matcher.min_pairs} returns each"
+            + "".join(f"; left out: {n} {cause}" for cause, n in sorted(slam.lost.items()))
         )
     config, graph = slam.config, slam.graph
     with watch("optimising"):
@@ -167,7 +185,9 @@ def _localise(
     for message in _timed(source(), watch):
         if row == len(found):
             break
-        if not isinstance(message, LaserScan) or message.stamp_ns != slam.scan_stamps_ns[row]:
+        if not isinstance(message, LaserScan) or flaw(message):
+            continue
+        if message.stamp_ns != slam.scan_stamps_ns[row]:
             continue
         scan = prepare(message, slam.mount, slam.config.scan)
         pose = localiser.locate(scan, Pose2(*guesses[row]))
