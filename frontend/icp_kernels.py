@@ -11,6 +11,9 @@ from numba import njit
 
 from frontend.scan_kernels import LINE, VALID
 
+# A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
+SAME_PAIRS = 0.02
+
 # Layout of the sums that one pass fills: H (upper triangle, 6), g (3), and then
 COST = 9  # robust squared residuals
 WEIGHT = 10  # sum of weights
@@ -44,48 +47,52 @@ def bearing_of(y, x):
 
 
 @njit(cache=True, nogil=True)
-def nearest_beam(px, py, points, flags, first, n, geometry, gate2):
+def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     """Index (from `first`) of the point nearest to (px, py) and its squared distance.
 
-    Walks outwards in bearing from the beam that looks at (px, py); a point seen at an angle
-    delta away is at least r sin(delta) far, which ends the walk.  (-1, gate2) if none is near.
+    Walks outwards in bearing from the beam that looks at (px, py); a point seen k beams away is
+    at least r sin((k - 1) step) far, one beam of slack for rounding, which ends the walk.
+    `reach2` (1 or references, m) holds sin^2 of those angles up to 90 degrees.  (-1, gate2) if
+    none is near; beams without a point hold nan and are never near.  Rows are indexed here, not
+    sliced by the caller: a slice an evaluation costs more than the whole search.
     """
-    angle_min, step, full = geometry[0], geometry[1], geometry[4] > 0.5
-    vx, vy = px - geometry[2], py - geometry[3]
-    r = np.sqrt(vx * vx + vy * vy)
+    angle_min, step, full = geometries[ref, 0], geometries[ref, 1], geometries[ref, 4] > 0.5
+    vx, vy = px - geometries[ref, 2], py - geometries[ref, 3]
+    r2 = vx * vx + vy * vy
     turn = bearing_of(vy, vx) - angle_min
-    turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi))
+    if turn < 0.0:
+        turn += 2.0 * np.pi
+    if turn >= 2.0 * np.pi:
+        turn -= 2.0 * np.pi
     centre = int(turn / step + 0.5)
-    if not full and centre >= n:
+    if full:
+        centre = centre % n
+    elif centre >= n:
         # Outside the field of view: begin at the nearer end.
         centre = n - 1 if turn - (n - 1) * step < 2.0 * np.pi - turn else 0
+    dx, dy = points[first + centre, 0] - px, points[first + centre, 1] - py
+    d2 = dx * dx + dy * dy
     best, best2 = -1, gate2
-    reach = n // 2 if full else n
-    for k in range(reach):
-        if k > 1:  # one beam of slack for rounding
-            delta = (k - 1) * step
-            if delta < 1.5:
-                bound = r * delta * (1.0 - delta * delta / 6.0)  # below r sin(delta)
-                if bound * bound > best2:
-                    break
-            elif r * r > best2:
-                break
-        for side in range(2):
-            if side == 0:
-                j = centre + k
-            elif k > 0:
-                j = centre - k
-            else:
-                continue
-            if full:
-                j = j % n
-            elif j < 0 or j >= n:
-                continue
-            if flags[first + j] & VALID:
-                dx, dy = points[first + j, 0] - px, points[first + j, 1] - py
-                d2 = dx * dx + dy * dy
-                if d2 < best2:
-                    best, best2 = j, d2
+    if d2 < best2:
+        best, best2 = centre, d2
+    steps = n // 2 if full else n - 1
+    row, last = min(ref, len(reach2) - 1), reach2.shape[1] - 1
+    for k in range(1, steps + 1):
+        if r2 * reach2[row, min(k, last)] > best2:
+            break
+        up, down = centre + k, centre - k
+        if full:
+            up, down = up % n, down % n
+        if up < n:
+            dx, dy = points[first + up, 0] - px, points[first + up, 1] - py
+            d2 = dx * dx + dy * dy
+            if d2 < best2:
+                best, best2 = up, d2
+        if down >= 0:
+            dx, dy = points[first + down, 0] - px, points[first + down, 1] - py
+            d2 = dx * dx + dy * dy
+            if d2 < best2:
+                best, best2 = down, d2
     return best, best2
 
 
@@ -100,12 +107,15 @@ def accumulate(
     flags,
     starts,
     geometries,
+    reach2,
     poses,
     x,
     y,
     theta,
     gate,
     scale,
+    search,
+    partners,
     transforms,
     system,
 ):
@@ -113,9 +123,14 @@ def accumulate(
 
     Residuals are n . p - d in the frame of each reference; derivatives are with respect to a
     step (x, y, theta) in the source frame, pose * Exp(step).  Weights: Geman-McClure.
-    `transforms` (references, 4) is scratch for cos, sin, x, y of reference_T_source.
+    `partners` (references, beams) keeps the pairs: looked for anew if `search`, else taken as
+    they are.  `transforms` (references, 4) is scratch for cos, sin, x, y of reference_T_source.
     """
-    system[:] = 0.0
+    # Sums in plain variables: an array element could alias the inputs and would be stored each time.
+    hxx = hxy = hxt = hyy = hyt = htt = 0.0
+    gx = gy = gt = cost = weight = 0.0
+    fxx = fxy = fyy = 0.0
+    pairs = tried = inliers = beams_paired = beams_fitting = 0
     gate2 = gate * gate
     inverse_scale2 = 1.0 / (scale * scale)
     for ref in range(len(transforms)):
@@ -130,18 +145,21 @@ def accumulate(
         if not source_flags[i] & VALID:
             continue
         qx, qy = source_points[i, 0], source_points[i, 1]
-        system[TRIED] += 1.0
+        tried += 1
         paired = False
         fits = False
         for ref in range(len(transforms)):
             c, s = transforms[ref, 0], transforms[ref, 1]
             px, py = c * qx - s * qy + transforms[ref, 2], s * qx + c * qy + transforms[ref, 3]
-            first, n = starts[ref], starts[ref + 1] - starts[ref]
-            j, _ = nearest_beam(px, py, points, flags, first, n, geometries[ref], gate2)
+            if search:
+                first, n = starts[ref], starts[ref + 1] - starts[ref]
+                j, _ = nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2)
+                if j >= 0:
+                    j = j + first if flags[first + j] & LINE else -1
+                partners[ref, i] = j
+            else:
+                j = partners[ref, i]
             if j < 0:
-                continue
-            j += first
-            if not flags[j] & LINE:
                 continue
             nx, ny = lines[j, 0], lines[j, 1]
             # The normal in the source frame.
@@ -156,29 +174,36 @@ def accumulate(
             root = 1.0 / (1.0 + residual * residual * inverse_scale2)
             w = root * root
             wax, way, wat = w * ax, w * ay, w * at
-            system[0] += wax * ax
-            system[1] += wax * ay
-            system[2] += wax * at
-            system[3] += way * ay
-            system[4] += way * at
-            system[5] += wat * at
-            system[6] += wax * residual
-            system[7] += way * residual
-            system[8] += wat * residual
-            system[COST] += residual * residual * root
-            system[WEIGHT] += w
-            system[PAIRS] += 1.0
+            hxx += wax * ax
+            hxy += wax * ay
+            hxt += wax * at
+            hyy += way * ay
+            hyt += way * at
+            htt += wat * at
+            gx += wax * residual
+            gy += way * residual
+            gt += wat * residual
+            cost += residual * residual * root
+            weight += w
+            pairs += 1
             v = w * lines[j, 3]
-            system[FEIGNED] += v * ay * ay
-            system[FEIGNED + 1] -= v * ax * ay
-            system[FEIGNED + 2] += v * ax * ax
+            fxx += v * ay * ay
+            fxy -= v * ax * ay
+            fyy += v * ax * ax
             if residual * residual * inverse_scale2 < 1.0:
-                system[INLIERS] += 1.0
+                inliers += 1
                 fits = True
         if paired:
-            system[PAIRED] += 1.0
+            beams_paired += 1
         if fits:
-            system[FITTING] += 1.0
+            beams_fitting += 1
+    system[0], system[1], system[2] = hxx, hxy, hxt
+    system[3], system[4], system[5] = hyy, hyt, htt
+    system[6], system[7], system[8] = gx, gy, gt
+    system[COST], system[WEIGHT], system[PAIRS] = cost, weight, pairs
+    system[FEIGNED], system[FEIGNED + 1], system[FEIGNED + 2] = fxx, fxy, fyy
+    system[TRIED], system[INLIERS] = tried, inliers
+    system[PAIRED], system[FITTING] = beams_paired, beams_fitting
 
 
 @njit(cache=True, nogil=True)
@@ -217,6 +242,7 @@ def gauss_newton(
     flags,
     starts,
     geometries,
+    reach2,
     poses,
     pose,
     prior,
@@ -239,6 +265,7 @@ def gauss_newton(
     step = np.zeros(3)
     before = np.zeros(3)
     transforms = np.empty((len(starts) - 1, 4))
+    partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
     inverse = stride / (noise * noise)
     damping = 1.0
     size = np.inf
@@ -253,12 +280,15 @@ def gauss_newton(
             flags,
             starts,
             geometries,
+            reach2,
             poses,
             pose[0],
             pose[1],
             pose[2],
             gate,
             scale,
+            size > SAME_PAIRS,
+            partners,
             transforms,
             system,
         )
@@ -284,8 +314,11 @@ def gauss_newton(
         # Pairs that change partner to and fro make the iteration swing: shorten its steps.
         if iteration > 5 and step[0] * before[0] + step[1] * before[1] + step[2] * before[2] < 0.0:
             damping = max(0.5 * damping, 0.1)
+        # One step never leaves the reach of the pairs that suggested it.
+        length = np.sqrt(step[0] * step[0] + step[1] * step[1])
+        shorten = damping * min(1.0, gate / max(length, 1e-12), 0.5 / max(abs(step[2]), 1e-12))
         for k in range(3):
-            step[k] *= damping
+            step[k] *= shorten
             before[k] = step[k]
         # pose * Exp(step), the exponential to second order: steps are small and shrinking.
         half = 0.5 * step[2]

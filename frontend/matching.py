@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +12,17 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from frontend import icp_kernels as kernels
+from frontend.align_kernels import align
+from frontend.icp_kernels import (
+    COST,
+    FITTING,
+    INLIERS,
+    PAIRED,
+    PAIRS,
+    SYSTEM,
+    TRIED,
+    WEIGHT,
+)
 from frontend.scan import PreparedScan
 
 Matrix = NDArray[np.float64]
@@ -32,6 +43,9 @@ class MatchConfig(BaseModel):
     iterations: int = Field(25, ge=1, description="at most, per pass")
     tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
     min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
+    good_quality: float = Field(
+        0.6, ge=0, le=1, description="share of beams that fit, below which other starts are tried"
+    )
     min_explained: float = Field(
         0.35, ge=0, le=1, description="share of paired beams that must fit"
     )
@@ -42,6 +56,22 @@ class MatchConfig(BaseModel):
     )
     floor_trans: float = Field(0.004, ge=0, description="m, bias that no number of beams removes")
     floor_rot: float = Field(0.0015, ge=0, description="rad, the same for the heading")
+
+    @cached_property
+    def passes_with_prior(self) -> Matrix:
+        """(2, 4): gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass."""
+        return np.array(
+            [
+                [0.6, 0.2, 0.02, self.coarse_beams],
+                [self.final_gate, self.final_scale, self.tolerance, 0],
+            ]
+        )
+
+    @cached_property
+    def passes_without_prior(self) -> Matrix:
+        """(3, 4): the same with a first pass that reaches farther."""
+        wide = [self.search_gate, 0.5 * self.search_gate, 0.05, self.coarse_beams]
+        return np.vstack([[wide], self.passes_with_prior])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,9 +118,15 @@ class MatchResult:
 # An iteration that still swings by a few tolerances stands well within the bias floor.
 SETTLED = 10.0
 
+# Other starts about a guess that nothing vouches for: turned, or moved along or across.
+STARTS = [
+    *(Pose2(0.0, 0.0, turn) for turn in (0.21, -0.21, 0.42, -0.42)),
+    *(Pose2(x, y, 0.0) for x, y in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))),
+]
+
 _NO_INFORMATION = np.zeros((3, 3))
 # What stands in for a missing prior: a metre and a radian know nothing, but keep matrices regular.
-_IGNORANCE = np.diag([1.0, 1.0, 1.0])
+_IGNORANCE = np.eye(3)
 
 
 def match(
@@ -106,43 +142,65 @@ def match(
     the guess.  With a prior, an axis that the scans do not see keeps what the prior says.
     """
     stack = _stack(references)
-    pose = np.array([guess.x(), guess.y(), guess.theta()])
-    system = np.zeros(kernels.SYSTEM)
     if source.valid < config.min_pairs:
         return _refused(guess, prior, f"only {source.valid} usable beams")
     if stack is None:
         return _refused(guess, prior, "no reference has usable beams")
-    information = _NO_INFORMATION if prior is None else np.linalg.inv(prior.covariance)
+    passes = config.passes_without_prior if prior is None else config.passes_with_prior
+    result = _align(stack, len(references), source, guess, passes, config, prior)
+    if prior is not None or result.quality >= config.good_quality:
+        return result
+    # Nothing vouches for the guess and the outcome is poor: it may have been caught on the way.
+    rivals = [
+        _align(stack, len(references), source, start, passes[:2], config, None)
+        for start in (guess * shift for shift in STARTS)
+    ]
+    best = max(rivals, key=lambda rival: rival.quality)
+    if best.quality > result.quality:
+        again = _align(
+            stack, len(references), source, best.target_T_source, passes[1:], config, None
+        )
+        if again.quality > result.quality:
+            return again
+    return result
+
+
+def _align(
+    stack: tuple[Any, ...], references: int, source: PreparedScan, guess: Pose2, passes: Matrix,
+    config: MatchConfig, prior: Prior | None,
+) -> MatchResult:  # fmt: skip
+    """One start: the passes, and what came of them."""
+    pose = _vector(guess)
+    known = _IGNORANCE if prior is None else prior.covariance
     centre = pose.copy() if prior is None else _vector(prior.target_T_source)
-    iterations = 0
-    size = 0.0
-    for gate, scale, tolerance, beams in _passes(config, prior):
-        stride = max(1, len(source.points) // beams) if beams else 1
-        size, count = kernels.gauss_newton(
-            source.points, source.lines, source.flags, stride,
-            stack[0], stack[1], stack[2], stack[3], stack[4], stack[5],
-            pose, centre, information, config.range_noise, gate, scale,
-            config.iterations, tolerance, system,
-        )  # fmt: skip
-        iterations += count
-    return _judge(pose, system, len(references), iterations, size, guess, prior, config)
+    information, covariance = np.empty((3, 3)), np.empty((3, 3))
+    system = np.zeros(SYSTEM)
+    # Each reference adds pairs of the same source beams: their noise is not averaged again.
+    spread = config.range_noise**2 * config.correlation * references
+    last_step, iterations, axis, weakness = align(
+        source.points, source.lines, source.flags, *stack, pose, centre, known,
+        prior is not None, passes, config.range_noise, spread, config.floor_trans,
+        config.floor_rot, config.iterations, information, covariance, system,
+    )  # fmt: skip
+    pairs = int(system[PAIRS])
+    if pairs < config.min_pairs:
+        return _refused(guess, prior, f"only {pairs} pairs")
+    explained = float(system[INLIERS] / pairs)
+    reason = ""
+    if last_step > SETTLED * passes[-1, 2]:
+        reason = f"no convergence in {iterations} iterations"
+    elif explained < config.min_explained:
+        reason = f"only {100 * explained:.0f} % of the beams fit"
+    return MatchResult(
+        Pose2(pose[0], pose[1], pose[2]), information, covariance, pairs, explained,
+        float(system[PAIRED] / system[TRIED]), float(system[FITTING] / system[TRIED]),
+        float(np.sqrt(system[COST] / system[WEIGHT])), axis if weakness > 1.0 else None, weakness,
+        iterations, not reason, reason,
+    )  # fmt: skip
 
 
 def _vector(pose: Pose2) -> Matrix:
     return np.array([pose.x(), pose.y(), pose.theta()])
-
-
-def _passes(config: MatchConfig, prior: Prior | None) -> list[tuple[float, float, float, int]]:
-    """Gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass."""
-    final = (config.final_gate, config.final_scale, config.tolerance, 0)
-    middle = (0.6, 0.2, 0.01, config.coarse_beams)
-    if prior is None:
-        return [
-            (config.search_gate, 0.5 * config.search_gate, 0.02, config.coarse_beams),
-            middle,
-            final,
-        ]
-    return [middle, final]
 
 
 def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
@@ -151,18 +209,24 @@ def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     if not used:
         return None
     poses = np.array([_vector(r.target_T_scan) for r in used])
+    first = used[0].scan
     if len(used) == 1:
-        scan = used[0].scan
-        starts = np.array([0, len(scan.points)])
-        return scan.points, scan.lines, scan.flags, starts, scan.geometry[None], poses
-    return (
+        starts = np.array([0, len(first.points)])
+        geometries, reach2 = first.geometry[None], first.reach2[None]
+        return first.points, first.lines, first.flags, starts, geometries, reach2, poses
+    same = all(r.scan.reach2 is first.reach2 for r in used)
+    joined = (
         np.concatenate([r.scan.points for r in used]),
         np.concatenate([r.scan.lines for r in used]),
         np.concatenate([r.scan.flags for r in used]),
-        np.cumsum([0] + [len(r.scan.points) for r in used]),
         np.array([r.scan.geometry for r in used]),
-        poses,
+        first.reach2[None] if same else np.array([r.scan.reach2 for r in used]),
     )
+    for array in joined:  # like those of a single scan, so that one compiled kernel serves both
+        array.setflags(write=False)
+    points, lines, flags, geometries, reach2 = joined
+    starts = np.cumsum([0] + [len(r.scan.points) for r in used])
+    return points, lines, flags, starts, geometries, reach2, poses
 
 
 def _refused(guess: Pose2, prior: Prior | None, reason: str) -> MatchResult:
@@ -170,80 +234,3 @@ def _refused(guess: Pose2, prior: Prior | None, reason: str) -> MatchResult:
     return MatchResult(
         guess, _NO_INFORMATION, covariance, 0, 0.0, 0.0, 0.0, 0.0, None, np.inf, 0, False, reason
     )
-
-
-def _judge(
-    pose: Matrix, system: Matrix, references: int, iterations: int, last_step: float,
-    guess: Pose2, prior: Prior | None, config: MatchConfig,
-) -> MatchResult:  # fmt: skip
-    pairs = int(system[kernels.PAIRS])
-    if pairs < config.min_pairs:
-        return _refused(guess, prior, f"only {pairs} pairs")
-    explained = float(system[kernels.INLIERS] / pairs)
-    information = own_information(system, references, config)
-    known = _IGNORANCE if prior is None else prior.covariance
-    covariance = np.linalg.inv(information + np.linalg.inv(known))
-    axis, weakness = weakest_axis(information, known)
-    reason = ""
-    if last_step > SETTLED * config.tolerance:
-        reason = f"no convergence in {iterations} iterations"
-    elif explained < config.min_explained:
-        reason = f"only {100 * explained:.0f} % of the beams fit"
-    return MatchResult(
-        Pose2(pose[0], pose[1], pose[2]), information, covariance, pairs, explained,
-        float(system[kernels.PAIRED] / system[kernels.TRIED]),
-        float(system[kernels.FITTING] / system[kernels.TRIED]),
-        float(np.sqrt(system[kernels.COST] / system[kernels.WEIGHT])),
-        axis if weakness > 1.0 else None, weakness, iterations, not reason, reason,
-    )  # fmt: skip
-
-
-def own_information(system: Matrix, references: int, config: MatchConfig) -> Matrix:
-    """(3, 3) information of the match alone, with what noisy normals feign taken out.
-
-    Normals that err by a variance s2 turn the information n n' into n n' + s2 t t': a plain
-    wall seems to know where along it the robot is.  The expected surplus is subtracted, then
-    the bias floor is added to the covariance (in information form, since axes may be blind).
-    """
-    h = system[:6]
-    fisher = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
-    f = kernels.FEIGNED
-    feigned = np.array([[system[f], system[f + 1]], [system[f + 1], system[f + 2]]])
-    # Each reference adds pairs of the same source beams: their noise is not averaged again.
-    spread = config.range_noise**2 * config.correlation * max(references, 1)
-    fisher[:2, :2] -= _no_more_than(feigned, fisher[:2, :2])
-    fisher /= spread
-    # (fisher^-1 + floor)^-1 in the floor's units, where eigenvalues compare and stay positive.
-    root = np.array([config.floor_trans, config.floor_trans, config.floor_rot])
-    values, vectors = np.linalg.eigh(fisher * np.outer(root, root))
-    values = np.maximum(values, 0.0)
-    scaled = (vectors * (values / (1.0 + values))) @ vectors.T
-    information: Matrix = scaled / np.outer(root, root)
-    information = 0.5 * (information + information.T)
-    return information
-
-
-def _no_more_than(feigned: Matrix, fisher: Matrix) -> Matrix:
-    """`feigned`, limited so that the difference keeps no negative direction."""
-    values, vectors = np.linalg.eigh(fisher - feigned)
-    if values[0] >= 0.0:
-        return feigned
-    excess: Matrix = fisher - (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return excess
-
-
-def weakest_axis(information: Matrix, known: Matrix) -> tuple[float, float]:
-    """Direction (rad) of the translation that the match knows worst, and by what ratio.
-
-    The ratio is the match's own sigma over the sigma that `known` (3, 3) promises along the
-    same axis: above one, the axis belongs to the odometry.  Heading is marginalised.
-    """
-    turn = information[2, 2]
-    shift = information[:2, :2].copy()
-    if turn > 0:
-        shift -= np.outer(information[:2, 2], information[2, :2]) / turn
-    values, vectors = np.linalg.eigh(shift)
-    axis = vectors[:, 0]
-    promised = float(axis @ known[:2, :2] @ axis)
-    weakness = float(np.sqrt(1.0 / (max(values[0], 1e-12) * promised)))
-    return float(np.arctan2(axis[1], axis[0])), weakness

@@ -9,6 +9,7 @@ along the wall) while corners and clutter keep short, one-sided windows.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,25 @@ class PreparedScan:
     geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, 1 if 360 deg
     valid: int  # beams with a point
     centre: NDArray[np.float64]  # (2,) m, mean of the nearer points: what the scan looks at
+    reach2: NDArray[np.float64]  # (REACH,) sin^2 of the angle that k - 1 beams make, to 90 deg
 
     @property
     def ranges(self) -> NDArray[np.float64]:
         """Distance of each point from the laser, (n,) m; nan where there is none."""
         offsets = self.points - self.geometry[2:4]
         return np.hypot(offsets[:, 0], offsets[:, 1])
+
+
+REACH = 384  # beams: 90 degrees and more at 0.25 degrees
+
+
+@lru_cache(maxsize=64)
+def reach_table(step: float) -> NDArray[np.float64]:
+    """(REACH,) sin^2 of the angle that k - 1 beams of `step` (rad) make, at most 1."""
+    angles = np.maximum(np.arange(REACH) - 1, 0) * step
+    table: NDArray[np.float64] = np.sin(np.minimum(angles, 0.5 * np.pi)) ** 2
+    table.setflags(write=False)
+    return table
 
 
 def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedScan:
@@ -89,4 +103,6 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     )
     for array in (points, lines, flags, geometry, centre):
         array.setflags(write=False)
-    return PreparedScan(scan.stamp_ns, points, lines, flags, geometry, valid, centre)
+    return PreparedScan(
+        scan.stamp_ns, points, lines, flags, geometry, valid, centre, reach_table(step)
+    )

@@ -1,0 +1,80 @@
+"""The whole point-to-line match in one compiled call: passes, then what they are worth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
+from frontend.icp_kernels import SYSTEM, gauss_newton
+
+
+@njit(cache=True, nogil=True)
+def align(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    prior,
+    prior_covariance,
+    has_prior,
+    passes,
+    noise,
+    spread,
+    floor_trans,
+    floor_rot,
+    iterations,
+    information,
+    covariance,
+    system,
+):
+    """Align from `pose` (3,), overwritten; fills information, covariance (3, 3) and system.
+
+    `passes` (k, 4) holds gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each
+    pass.  Without a prior, `prior_covariance` only completes the covariance of blind axes.
+    Returns (size of the last step in m, iterations, weak axis in rad, weakness).
+    """
+    known = np.empty((3, 3))
+    invert3(prior_covariance, known)
+    pull = known if has_prior else np.zeros((3, 3))
+    size, count = 0.0, 0
+    for k in range(len(passes)):
+        beams = int(passes[k, 3])
+        stride = max(1, len(source_points) // beams) if beams > 0 else 1
+        size, used = gauss_newton(
+            source_points,
+            source_lines,
+            source_flags,
+            stride,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose,
+            prior,
+            pull,
+            noise,
+            passes[k, 0],
+            passes[k, 1],
+            iterations,
+            passes[k, 2],
+            system,
+        )
+        count += used
+    own_information(system, spread, floor_trans, floor_rot, information)
+    combine(information, known, covariance)
+    axis, weakness = weakest_axis(information, prior_covariance)
+    return size, count, axis, weakness
+
+
+__all__ = ["SYSTEM", "align"]
