@@ -155,8 +155,10 @@ class DeviceClock:
             self.distrusted_syncs += 1
             self._anchor, lag = None, assumed_lag_ns
         if self._first is not None and device - self._first >= self._config.settle_s * 1e9:
-            self._lag = lag
             self._level, self._slope = lower_edge(self._bins, self._config.drift_max)
+            if self._anchor is not None:  # against the edge back then: it has drifted since
+                lag = self._edge(self._first) - self._anchor
+            self._lag = lag
         return self._floor - lag
 
     def _edge(self, device: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ class HokuyoConfig:
     reach_m: float = math.inf  # m, farther is reported as inf; DMAX is a limit anyway
     sync_rounds: int = 10  # round trips of TM1, 0 for none
     reply_s: float = 0.5  # s for an answer
-    silence_s: float = 1.0  # s without a scan until the sensor counts as gone, ten scans at least
+    silence_s: float = 1.0  # s without a scan until the sensor is gone; ten scans at least
     attempts: int = 4  # tries of QT at each speed
 
     def __post_init__(self) -> None:
@@ -95,7 +96,8 @@ class Hokuyo:
         self.synchronise()
         self._request = self._config.request(sensor)
         period_s = sensor.sweep_s * (self._config.skip + 1)
-        self._silence_ns = round(max(self._config.silence_s, 10.0 * period_s) * 1e9)
+        patience_s = max(self._config.silence_s, 10.0 * period_s, 3.0 * self._carried_s())
+        self._silence_ns = round(patience_s * 1e9)
         self._start(self._request)
         return self._begun("connected")
 
@@ -181,6 +183,14 @@ class Hokuyo:
         serial = self.decoder.version.get("SERI", "unknown")
         return f"{how}: {product}, serial {serial}, on {self._config.port}"
 
+    def _carried_s(self) -> float:
+        """Return how long one scan is on the line, 0 if the sensor states no baud rate (SBPS)."""
+        speed = re.match(r"(\d+)\[bps\]", self.decoder.state.get("SBPS", ""))
+        if speed is None or self._request is None:
+            return 0.0
+        columns = 2 if self._request.with_intensity else 1
+        return 10.0 * self._request.values * self._request.characters * columns / int(speed[1])
+
     def _state(self) -> str:
         return f"Its own words when asked: {self.decoder.state.get('STAT', 'none')}"
 
@@ -190,21 +200,29 @@ class Hokuyo:
         bauds = [self._baud, *others] if self._link.port.has_baud else [self._baud]
         for baud in bauds:
             self._link.port.set_baud(baud)
-            for _ in range(self._config.attempts if baud == bauds[0] else 1):
-                self._link.send(b"\n")  # ends a half line that an earlier client left
-                answer = self._ask(b"QT", required=False)
-                if answer is None:
-                    continue
-                if answer.status in ("00", "02"):
-                    self._baud = baud
-                    self._link.drain(0.14, 1.0)  # urg_library's 140 ms
-                    return
-                # An old URG starts in SCIP 1.1; others may have been left in clock mode.
-                self._ask(b"SCIP2.0" if answer.status == "E" else b"TM2", required=False)
+            if self._is_calm(self._config.attempts if baud == bauds[0] else 1):
+                self._baud = baud
+                self._link.drain(0.14, 1.0)  # urg_library's 140 ms
+                return
         raise NoReply(
             f"no Hokuyo answers on {self._config.port}. Is it powered (its lamp lights steadily "
             "when it is ready, up to 30 s after power-on; blinking means a fault)?"
         )
+
+    def _is_calm(self, tries: int) -> bool:
+        """Try QT until it works; give up after so many tries without any answer."""
+        for attempt in range(max(tries, self._config.attempts)):
+            self._link.send(b"\n")  # ends a half line that an earlier client left
+            answer = self._ask(b"QT", required=False)
+            if answer is None:
+                if attempt + 1 >= tries:
+                    return False
+            elif answer.status in ("00", "02"):
+                return True
+            else:
+                # An old URG starts in SCIP 1.1; others may have been left in clock mode.
+                self._ask(b"SCIP2.0" if answer.status == "E" else b"TM2", required=False)
+        return False
 
     def _ask(self, line: bytes, *, required: bool = True) -> Reply | None:
         """Send a command and wait for its echo; scans may come in between.

@@ -31,6 +31,7 @@ from drivers.ports import Port, open_port
 # What may be sent without consent to motion.
 PASSIVE = (Id.PULSE, Id.OPEN, Id.CLOSE, Id.CONFIG, Id.SONAR, Id.HOSTBAUD)
 _REPORTS = (*STANDARD, CONFIG, ENCODER, IO, GYRO)
+_PATIENT = 4  # silent rounds of SYNC before a known robot is told to CLOSE
 _Outcome = Literal["connected", "open", "confused", "silent"]
 
 
@@ -95,7 +96,8 @@ class Pioneer:
         )
         if self.decoder.identity is not None and self._await_report(0.3):
             return self._begun("resumed")
-        self._synchronise()
+        if self._synchronise() == "open":
+            return self._begun("resumed")
         identity = self.decoder.identity
         if identity is None or self.decoder.model is None:
             known = ", ".join(MODELS)
@@ -184,16 +186,23 @@ class Pioneer:
         name = self.decoder.identity or "robot of the configured model"
         return f"{how}: {name} on {self._config.port} at {self._baud} baud"
 
-    def _synchronise(self) -> None:
-        """Repeat the handshake until it works, at every speed if need be (section 1.1)."""
-        others = [baud for baud in BAUD_CODES if baud != self._baud]
-        bauds = [self._baud, self._baud, *others] if self._link.port.has_baud else [self._baud]
-        for attempt in range(self._config.attempts):
+    def _synchronise(self) -> _Outcome:
+        """Repeat the handshake until it works, at every speed if need be (section 1.1).
+
+        Returns "open" if a robot that we know has answered with reports.
+        """
+        known = self.decoder.identity is not None
+        bauds = self._bauds_to_try(known)
+        silences = 0
+        for _ in range(self._config.attempts):
             outcome = self._handshake()
-            if outcome == "connected":
-                return
+            if outcome == "connected" or (outcome == "open" and known):
+                return outcome
             if outcome == "silent":
-                self._use_baud(bauds[(attempt + 1) % len(bauds)])
+                silences += 1
+                self._use_baud(bauds[silences % len(bauds)])
+                if known and silences < _PATIENT:
+                    continue  # an outage; what we knew of the robot's odometry is worth a wait
             # CLOSE ends what an earlier client or a lost answer to SYNC2 left open.
             self._send(Id.CLOSE)
             self._link.drain(0.25, 2.0)
@@ -201,6 +210,13 @@ class Pioneer:
             f"no Pioneer answers on {self._config.port}. Is the robot switched on, is the cable in "
             "its HOST port, and does no other computer (a built-in PC) use that port?"
         )
+
+    def _bauds_to_try(self, known: bool) -> list[int]:
+        """Return speeds in turn; a robot that has restarted is back at the one it booted with."""
+        if not self._link.port.has_baud:
+            return [self._baud]
+        first = [self._baud, self._config.baud] * 2 if known else [self._baud] * 2
+        return [*first, *(baud for baud in BAUD_CODES if baud not in first)]
 
     def _use_baud(self, baud: int) -> None:
         self._link.port.set_baud(baud)
