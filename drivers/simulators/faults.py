@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from drivers.simulators.robot import Track
 
 Array = NDArray[np.float64]
-FaultKind = Literal["sign-flip", "stall", "jump", "slip", "scan-gap"]
+TRACK_WIDTH_M = 2.0 / 5.6  # effective, by DiffConvFactor 0.0056 (DEVICES.md, section 2.1)
+FaultKind = Literal["sign-flip", "stall", "stuck-encoder", "jump", "slip", "scan-gap"]
 
 # Duration in s and size (m for a jump, rad for a slip) where a fault states none.  A jump
 # takes as long as those of the mit-csail log, 0.2 s.
@@ -22,6 +23,7 @@ _USUAL: Mapping[FaultKind, tuple[float, float]] = MappingProxyType(
     {
         "sign-flip": (math.inf, 0.0),  # reversing is reported as going forward
         "stall": (2.0, 0.0),  # odometry is frozen while the robot moves
+        "stuck-encoder": (2.0, 0.0),  # the left wheel counts nothing
         "jump": (0.2, 1.0),  # odometry leaps by `size` metres towards `bearing`
         "slip": (0.5, math.radians(20.0)),  # odometry turns by `size` more than the robot
         "scan-gap": (3.0, 0.0),  # no scan comes in; the odometry goes on
@@ -66,6 +68,10 @@ def corrupted(increments: Array, truth: Track, faults: Sequence[OdometryFault]) 
         share = fault.amount * cover * truth.step_s / fault.lasts_s
         if fault.kind == "stall":
             bad *= (1.0 - cover)[:, None]
+        elif fault.kind == "stuck-encoder":
+            left = (bad[:, 0] - 0.5 * TRACK_WIDTH_M * bad[:, 2]) * cover
+            bad[:, 0] -= 0.5 * left
+            bad[:, 2] += left / TRACK_WIDTH_M
         elif fault.kind == "sign-flip":
             bad[:, 0] *= 1.0 - 2.0 * cover * backwards
         elif fault.kind == "jump":

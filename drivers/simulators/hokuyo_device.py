@@ -20,6 +20,7 @@ from drivers.simulators.hokuyo_models import MODELS, HokuyoModel
 from drivers.simulators.sweep import Sweeper
 
 _SPEEDS = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
+_REBOOT_S = 0.05  # s from the answer to RB until the sensor is gone; our estimate
 _STATES = {"idle": "000", "clock": "002", "on": "003", "stream": "004", "asleep": "005"}
 
 
@@ -187,7 +188,7 @@ class HokuyoDevice:
         if now_s - self._reboot_asked_s > 1.0:
             self._reboot_asked_s = now_s
             return "01", []
-        self._reboots.insert(0, (now_s, max(self.build.boot_s, 1.0)))
+        self._reboots.insert(0, (now_s + _REBOOT_S, max(self.build.boot_s, 1.0)))
         return "00", []
 
     def _keep_time(self, mode: str, now_s: float) -> tuple[str, list[bytes]]:

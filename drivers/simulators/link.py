@@ -15,8 +15,9 @@ from drivers.simulators.drive import EPOCH_NS
 
 Window = tuple[float, float]  # s of simulation, begin and end
 _BITS_A_BYTE = 10  # 8N1
-_HELD_BYTES = 4096  # what a device keeps for a line that is slower than it
+_HELD_BYTES = 1024  # what a device keeps for a line that is slower than it
 _STEP_NS = 1_000_000
+_LOOK_S = 0.005  # s, the longest a device is left alone: its watchdog must bite in time
 
 
 class Device(Protocol):
@@ -69,10 +70,15 @@ class Line:
         self._queue: deque[tuple[float, bytes]] = deque()  # (s when its first byte starts, data)
         self._free_s = 0.0
         self._delivered_s = -math.inf
+        self._filled_s = 0.0
 
     def plugged(self, now_s: float) -> bool:
         """Whether the port exists."""
         return not _within(self._faults.unplugged, now_s)
+
+    def unpluggings(self, now_s: float) -> int:
+        """How often the plug has been pulled; a handle from before is dead for good."""
+        return sum(begin <= now_s for begin, _ in self._faults.unplugged)
 
     def to_device(self, data: bytes, now_s: float, baud: int) -> None:
         """Carry what the client sends at its speed; it arrives at once."""
@@ -81,6 +87,7 @@ class Line:
             self.damaged_bytes += len(data)
         else:
             self.device.receive(self._damaged(data, baud), now_s)
+            self._put(self.device.advance(now_s), now_s, baud)
 
     def to_host(self, now_s: float, baud: int) -> bytes:
         """Return what has reached a client that listens at `baud`."""
@@ -88,7 +95,7 @@ class Line:
         if now_s - self._delivered_s < self._faults.hold_s:
             return b""
         ready = bytearray()
-        most = self._faults.split or _HELD_BYTES * 64
+        most = self._faults.split or 1 << 18
         while self._queue and self._queue[0][0] <= now_s and len(ready) < most:
             start, data = self._queue.popleft()
             there = min(self._arrived(start, now_s, len(data)), most - len(ready))
@@ -117,8 +124,12 @@ class Line:
         return min(count, math.floor((now_s - start_s) / self._byte_s() + 1e-6))
 
     def _fill(self, now_s: float, baud: int) -> None:
-        """Put what the device has to say on the line."""
-        data = self.device.advance(now_s)
+        """Put what the device has said since the last look on the line, each at its time."""
+        while self._filled_s < now_s:
+            self._filled_s = min(now_s, self._filled_s + _LOOK_S)
+            self._put(self.device.advance(self._filled_s), self._filled_s, baud)
+
+    def _put(self, data: bytes, now_s: float, baud: int) -> None:
         if not data:
             return
         if self._dead(now_s):
@@ -178,6 +189,7 @@ class MemoryPort:
         self.name, self.has_baud = name, line.serial
         self._line, self._time, self._baud = line, time, baud
         self._closed = False
+        self._unpluggings = line.unpluggings(time.now_s)
         self._check()
 
     def read(self, timeout_s: float) -> bytes:
@@ -204,7 +216,7 @@ class MemoryPort:
         self._closed = True
 
     def _check(self) -> None:
-        if self._closed or not self._line.plugged(self._time.now_s):
+        if self._closed or self._line.unpluggings(self._time.now_s) != self._unpluggings:
             raise LinkLost(f"{self.name} is gone")
 
 

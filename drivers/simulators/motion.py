@@ -17,7 +17,6 @@ from drivers.simulators.worlds import Scenario
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y (m), theta (rad)
-TRACK_WIDTH_M = 2.0 / 5.6  # effective, by DiffConvFactor 0.0056 (DEVICES.md, section 2.1)
 
 
 class Motion(Protocol):

@@ -32,7 +32,8 @@ from drivers.arcos_reports import (
     encode_standard,
 )
 from drivers.pioneer_decoder import MODELS
-from drivers.simulators.motion import TRACK_WIDTH_M, Motion
+from drivers.simulators.faults import TRACK_WIDTH_M
+from drivers.simulators.motion import Motion
 from drivers.simulators.world import World
 
 _TICKS_PER_M = 128_000.0  # what users set (DEVICES.md, section 3)
@@ -40,6 +41,7 @@ _CONNECTED = 3  # stage behind the three SYNCs
 _SONAR_BEARINGS = np.radians(
     [90, 50, 30, 10, -10, -30, -50, -90, -90, -130, -150, -170, 170, 150, 130, 90]
 )
+_SONAR_ARRAYS = 0x1E  # FLAGS bits of the four arrays (section 2)
 _SONAR_REACH_M = 5.0  # farther is reported as 5000: no echo (section 3)
 
 
@@ -152,9 +154,12 @@ class PioneerDevice:
             action(command.argument if isinstance(command.argument, int) else 0, now_s)
 
     def _synchronise(self, number: int) -> None:
-        """SYNC0 begins anew at any time; the others must come in their order (section 1.1)."""
+        """SYNC0 begins anew at any time; the others must come in their order (section 1.1).
+
+        Before the first SYNC0 others are ignored: a client's CLOSE to be sure is no SYNC2.
+        """
         if number not in (SYNC0, self._stage):
-            if number <= SYNC2:
+            if number <= SYNC2 and self._stage > 0:
                 self._out += encode_packet(bytes([OUT_OF_SYNC]))
             return
         self._stage = number + 1
@@ -266,7 +271,7 @@ class PioneerDevice:
             left_vel=round((speed - difference) * 1000.0),
             right_vel=round((speed + difference) * 1000.0),
             battery=128,
-            flags=MOTORS_ENABLED * self._motors,
+            flags=MOTORS_ENABLED * self._motors | _SONAR_ARRAYS * self._sonar,
             sonar=self._echoes(now_s) if self._sonar else (),
             moving=self.build.tells_moving and (speed, turn_rate) != (0.0, 0.0),
             grip_state=0,
