@@ -102,3 +102,9 @@ def laser_bench():
         return Bench(HokuyoDevice(sweeper, build), Hokuyo, settings, faults, serial)
 
     return build
+
+
+@pytest.fixture
+def standing():
+    """Return the motion of a robot that stays where it is."""
+    return straight(speed=0.0)

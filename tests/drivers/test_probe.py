@@ -1,0 +1,67 @@
+import pytest
+
+from drivers.errors import PortError
+from drivers.probe import probe
+from drivers.simulators.hokuyo_device import HokuyoBuild
+from drivers.simulators.link import WireFaults
+from drivers.simulators.pioneer_device import PioneerBuild
+
+
+def run(bench, **options):
+    return probe("/dev/somewhere", clock=bench.time, opener=bench.link, **options)
+
+
+def test_a_laser_tells_all_about_itself(laser_bench):
+    bench = laser_bench(HokuyoBuild(model="utm-30lx", clock_start=5000))
+    report = run(bench)
+    facts = dict(report.facts)
+    assert (report.kind, report.sound, report.advice) == ("laser", True, ())
+    assert facts["SERI"] == "H0000001"
+    assert facts["field of view"] == "-135.0 to 135.0 deg"
+    assert float(facts["rate measured"].split()[0]) == pytest.approx(40.0, abs=0.5)
+    assert facts["clock offset"].endswith(" s")
+    assert bench.device.state == "idle"
+
+
+@pytest.mark.parametrize("subclass", ["p3dx-sh", "p3dx"])
+def test_a_robot_tells_all_about_itself_and_is_not_moved(robot_bench, subclass):
+    bench = robot_bench(PioneerBuild(subclass=subclass))
+    report = run(bench)
+    facts = dict(report.facts)
+    assert (report.kind, report.sound, report.advice) == ("p3dx", True, ())
+    assert facts["subclass"] == subclass
+    assert facts["watchdog"] == "2000 ms"
+    assert facts["battery"] == "12.8 V"
+    assert facts["motors"] == "on"
+    assert float(facts["rate measured"].split()[0]) == pytest.approx(10.0, abs=0.5)
+    assert not bench.device.connected
+    assert all(command.id not in (4, 8, 11, 21, 32) for command in bench.device.commands)
+
+
+def test_a_robot_without_config_is_sound_all_the_same(robot_bench):
+    report = run(robot_bench(PioneerBuild(bad_config_sum=True)))
+    assert report.sound
+    assert "defaults are used" in dict(report.facts)["configuration"]
+
+
+def test_silence_brings_advice_for_both_kinds(laser_bench):
+    report = run(laser_bench(faults=WireFaults(silences=((0.0, 1e9),))))
+    assert report.kind is None
+    assert not report.sound
+    assert any("powered" in line for line in report.advice)
+    assert any("HOST port" in line for line in report.advice)
+
+
+def test_a_port_that_does_not_open_brings_its_advice():
+    def refuse(name, baud):
+        raise PortError("do this")
+
+    report = probe("/dev/x", opener=refuse)
+    assert (report.kind, report.advice) == (None, ("do this",))
+
+
+def test_trouble_is_named(laser_bench):
+    slow = laser_bench(HokuyoBuild(model="urg-04lx"), serial=True)
+    assert any("scans a second" in line for line in run(slow, kinds=("laser",)).advice)
+    broken = run(laser_bench(HokuyoBuild(fault_at_s=0.0)), kinds=("laser",))
+    assert any("fault" in line for line in broken.advice)
