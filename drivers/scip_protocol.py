@@ -1,4 +1,4 @@
-"""SCIP 2.x on the wire: commands, replies, sums and status names of Hokuyo range finders.
+"""SCIP 2.x on the wire: commands, replies and sums of Hokuyo range finders.
 
 Sections are those of DEVICES.md, which names the manuals.  Everything is ASCII lines; a
 reply is the echo of its command, a status, lines with a sum each, and an empty line.
@@ -7,11 +7,11 @@ reply is the echo of its command, a status, lines with a sum each, and an empty 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from types import MappingProxyType
 
+from drivers.scip_status import status_name
 from drivers.stamped_buffer import StampedBuffer
 
 LINE = 64  # characters of data in a line (section 4)
@@ -20,52 +20,6 @@ MAX_COMMAND = 64  # longest line a client sends, user string included, and some
 
 _COMMAND = re.compile(rb"(%?[A-Z]{2}|SCIP2\.0)([0-9]*)(?:;([A-Za-z0-9 ._+@]{0,16}))?")
 _SYMBOLS = "BM CR GD GE GS HS II MD ME MS PP QT RB RS RT SS TM VV %ST %SL SCIP2.0".split()
-
-# Section 4.1; a code without a name here is an error all the same.
-_GENERIC: Mapping[str, str] = MappingProxyType(
-    {
-        "00": "done",
-        "0A": "internal error",
-        "0B": "buffer full, or the same command is still in work",
-        "0C": "too few parameters",
-        "0D": "command too long, or unknown",
-        "0E": "unknown command",
-        "0F": "command not supported, or too few parameters",
-        "0G": "user string too long",
-        "0H": "user string has forbidden characters",
-        "0I": "firmware update in progress",
-        "0L": "abnormal state",
-        "0M": "unstable state",
-        "10": "denied in this state (is the laser off, or scanning?)",
-    }
-)
-_SCAN_NAMES = {
-    "01": "start step is not a number",
-    "02": "end step is not a number",
-    "03": "cluster is not a number",
-    "04": "end step out of range",
-    "05": "end step before start step",
-    "06": "interval is not a number",
-    "07": "number of scans is not a number",
-    "98": "sensor is sound again after its check",
-    "99": "scan",
-}
-_NAMES: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {
-        "BM": {"01": "laser fault", "02": "laser is on already"},
-        "TM": {
-            "01": "no such mode",
-            "02": "in clock mode already",
-            "03": "out of clock mode already",
-            "04": "not in clock mode",
-        },
-        "SS": {"01": "no number", "02": "no such speed", "03": "set already", "04": "cannot"},
-        "CR": {"01": "no number", "02": "no such speed", "03": "set already", "04": "cannot"},
-        "HS": {"01": "no number", "02": "set already", "03": "cannot"},
-        "RB": {"01": "reboot must be asked for twice"},
-    }
-)
-
 
 def checksum(text: bytes | bytearray) -> int:
     """Return the sum character of a line: six bits, put among the printable ones (section 4)."""
@@ -147,23 +101,7 @@ class Reply:
         return command.symbol if command else ""
 
     @property
-    def status_name(self) -> str:
-        """The status in words."""
-        return status_name(self.symbol, self.status)
-
-
-def status_name(symbol: str, status: str) -> str:
-    """Name the status of a command (section 4.1)."""
-    names = _SCAN_NAMES if symbol[:1] in ("G", "M") else _NAMES.get(symbol, {})
-    if symbol[:1] in ("G", "M") and status.isdigit():
-        if 21 <= int(status) <= 49:
-            return f"sensor has stopped to check itself ({status})"
-        if 50 <= int(status) <= 97:
-            return f"hardware fault {status}"
-    return names.get(status) or _GENERIC.get(status) or f"unknown status {status}"
-
-
-def encode_reply(echo: bytes, status: str, lines: Iterable[bytes] = ()) -> bytes:
+    def encode_reply(echo: bytes, status: str, lines: Iterable[bytes] = ()) -> bytes:
     """Return a whole reply; `lines` already carry their sums."""
     return b"\n".join([echo, with_sum(status.encode()), *lines]) + b"\n\n"
 

@@ -18,9 +18,9 @@ from drivers.scip_protocol import (
     information_line,
     is_sound,
     joined_data,
-    status_name,
     with_sum,
 )
+from drivers.scip_status import status_name
 
 CAPTURES = ["example_utm_30lx", "example_urg_04lx", "example_uxm_30lx_e"]
 
