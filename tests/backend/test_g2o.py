@@ -1,0 +1,107 @@
+"""Graphs as text: every digit there and back, every damage named with its line."""
+
+import gzip
+
+import numpy as np
+import pytest
+from gtsam import Pose2
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from backend.edges import Edge, GraphError
+from backend.g2o import read_g2o, write_g2o
+
+numbers = st.floats(-1e6, 1e6)
+
+
+def information(root):
+    return root @ root.T
+
+
+roots = npst.arrays(np.float64, (3, 3), elements=st.floats(-100, 100))
+
+
+@st.composite
+def graphs(draw):
+    poses = draw(
+        npst.arrays(np.float64, st.tuples(st.integers(2, 6), st.just(3)), elements=numbers)
+    )
+    pairs = st.tuples(*[st.integers(0, len(poses) - 1)] * 2).filter(lambda p: p[0] != p[1])
+    edges = [
+        Edge(
+            "odometry" if j - i == 1 else "loop", i, j,
+            Pose2(draw(numbers), draw(numbers), draw(st.floats(-3.14, 3.14))),
+            information(draw(roots)),
+        )
+        for i, j in draw(st.lists(pairs, max_size=5))
+    ]  # fmt: skip
+    return poses, edges
+
+
+@given(graphs())
+def test_round_trip_keeps_every_digit(tmp_path_factory, graph):
+    poses, edges = graph
+    path = tmp_path_factory.mktemp("g2o") / "graph.g2o"
+    write_g2o(path, poses, edges, [edge.information for edge in edges])
+    back = read_g2o(path)
+    np.testing.assert_array_equal(back.poses, poses)
+    assert [(e.i, e.j, e.kind) for e in back.edges] == [(e.i, e.j, e.kind) for e in edges]
+    for found, edge in zip(back.edges, edges, strict=True):
+        assert (found.i_T_j.x(), found.i_T_j.y()) == (edge.i_T_j.x(), edge.i_T_j.y())
+        # A Pose2 keeps cosine and sine, so that the angle itself may move by its last bit.
+        assert abs(found.i_T_j.theta() - edge.i_T_j.theta()) < 1e-15
+        upper = np.triu_indices(3)
+        np.testing.assert_array_equal(found.information[upper], edge.information[upper])
+        np.testing.assert_array_equal(found.information, found.information.T)
+    assert back.skipped == 0
+
+
+def test_gzipped_files_and_foreign_ids_are_read(tmp_path):
+    text = (
+        "# a comment\nVERTEX_SE2 30 1 2 0.5\nVERTEX_SE2 10 0 0 0\nFIX 10\nVERTEX_XY 7 1 1\n"
+        "EDGE_SE2 10 30 1 2 0.5 1 0 0 2 0 3\n"
+    )
+    path = tmp_path / "graph.g2o.gz"
+    path.write_bytes(gzip.compress(text.encode()))
+    graph = read_g2o(path)
+    assert graph.ids.tolist() == [10, 30]
+    assert graph.skipped == 1
+    (edge,) = graph.edges
+    assert (edge.i, edge.j, edge.kind) == (0, 1, "odometry")
+    np.testing.assert_array_equal(edge.information, np.diag([1.0, 2.0, 3.0]))
+
+
+TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no VERTEX_SE2"),
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "holds no VERTEX_SE2"),
+        ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers"),
+        ("VERTEX_SE2 0 0 zero 0\n", ":1: not a number"),
+        (TWO + "EDGE_SE2 0 1 1 0 0 1 0 0 1 0\n", ":3: EDGE_SE2 with 10 numbers"),
+        (TWO + "EDGE_SE2 0 5 1 0 0 1 0 0 1 0 1\n", ":3: edge to unknown vertex 5"),
+        (TWO + "EDGE_SE2 1 1 1 0 0 1 0 0 1 0 1\n", ":3: edge from vertex 1 to itself"),
+        (TWO + "EDGE_SE2 0 1 nan 0 0 1 0 0 1 0 1\n", ":3: odometry edge 0-1: .* not finite"),
+        (TWO + "EDGE_SE2 0 1 1 0 0 -1 0 0 1 0 1\n", ":3: odometry edge 0-1: .* negative"),
+    ],
+)
+def test_damage_is_named_with_its_line(tmp_path, text, message):
+    path = tmp_path / "graph.g2o"
+    path.write_text(text)
+    with pytest.raises(GraphError, match=message) as caught:
+        read_g2o(path)
+    assert str(path) in str(caught.value)
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "graph.g2o"
+    for data in (b"\x89PNG\xff\xfe", gzip.compress(TWO.encode())[:-12]):
+        path.write_bytes(data)
+        with pytest.raises(GraphError, match="is not g2o text"):
+            read_g2o(path)
+    with pytest.raises(GraphError, match="cannot be read"):
+        read_g2o(tmp_path / "missing.g2o")
