@@ -8,13 +8,15 @@ as small as they would be on the robot, however fast the machine is.
 
 from __future__ import annotations
 
-import multiprocessing
+import ast
+import os
 import resource
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -77,7 +79,7 @@ def measure_logs(folder: Path, seconds: float = HOUR_S) -> list[dict[str, Any]]:
     Row keys: `case`, `log_s` (length of the log), `messages`, `write_per_s` and `read_per_s`
     (messages a second of wall time), `write_x_realtime`, `mb_per_hour` (as recorded),
     `mb_per_hour_closed` (recompressed), `recompress_s`, `read_rss_mb` (what reading adds to
-    the peak memory of a fresh process).
+    the peak memory of a fresh process), `read_peak_rss_mb` (that peak, libraries included).
 
     Args:
         folder: where the logs are written; they are removed again.
@@ -96,7 +98,7 @@ def _measure(folder: Path, sensors: Sensors, seconds: float) -> dict[str, Any]:
         messages, write_s = _write(path, cycle, seconds)
         smaller = recompress(path)
         recompress_s = time.perf_counter() - write_s[1]
-        read_per_s, rss_mb = _in_fresh_process(path)
+        read_per_s, added_mb, peak_mb = _in_fresh_process(path)
     finally:
         path.unlink(missing_ok=True)
     per_hour = HOUR_S / seconds / 1e6
@@ -110,7 +112,8 @@ def _measure(folder: Path, sensors: Sensors, seconds: float) -> dict[str, Any]:
         "mb_per_hour": smaller.bytes_before * per_hour,
         "mb_per_hour_closed": smaller.bytes_after * per_hour,
         "recompress_s": recompress_s,
-        "read_rss_mb": rss_mb,
+        "read_rss_mb": added_mb,
+        "read_peak_rss_mb": peak_mb,
     }
 
 
@@ -130,23 +133,43 @@ def _write(path: Path, cycle: list[Message], seconds: float) -> tuple[int, tuple
     return count, (end - began, end)
 
 
-def _in_fresh_process(path: Path) -> tuple[float, float]:
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max_workers=1, mp_context=spawn) as pool:
-        return pool.submit(read_all, path).result()
+def _in_fresh_process(path: Path) -> tuple[float, float, float]:
+    """Run `read_all` in an interpreter that has nothing else in memory."""
+    code = (
+        f"import sys; from {__name__} import read_all; "
+        f"sys.stdout.write(repr(read_all({str(path)!r})))"
+    )
+    paths = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        check=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
+    rate, added_mb, peak_mb = ast.literal_eval(done.stdout)
+    return rate, added_mb, peak_mb
 
 
-def read_all(path: Path) -> tuple[float, float]:
-    """Read a log; return messages a second, and what it added to the peak memory (MB)."""
+def read_all(path: Path | str) -> tuple[float, float, float]:
+    """Read a log; return messages a second, what it added to the peak memory, and that (MB)."""
     before = peak_rss_mb()
     began = time.perf_counter()
     with open_log(path) as log:
         count = sum(1 for _ in log.messages())
-    return count / (time.perf_counter() - began), peak_rss_mb() - before
+    rate = count / (time.perf_counter() - began)
+    return rate, peak_rss_mb() - before, peak_rss_mb()
 
 
 def peak_rss_mb() -> float:
-    """Return the largest memory this process has had so far (MB)."""
+    """Return the largest memory this process has had so far (MB).
+
+    Linux hands `ru_maxrss` down from parent to child, so its own account is asked first.
+    """
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024 / 1e6
     unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KiB elsewhere
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 

@@ -1,4 +1,16 @@
-"""A log's health, as far as it shows without running SLAM: one pass, bounded memory."""
+"""A log's health, as far as it shows without running SLAM: one pass, bounded memory.
+
+What replay makes of odd logs, and the code of the finding that says so:
+
+- two lasers: only `/scan` is read, a laser on another topic is named (`another-laser`); two
+  on one channel, or two mounts, cannot be told apart and are errors (`two-lasers`,
+  `mount-changes`);
+- a gap of minutes (`scan-gap`, `odom-gap`): read as it is, what comes after hangs on odometry;
+- stamps from 1970: a clock that was never set does no harm (`clock-unset`), one that was set
+  during the recording leaves a gap of decades (`clock-set-late`);
+- stamps that run backwards or repeat (`stamps-backwards`, `stamps-duplicate`): the log keeps
+  them in file order, replay skips such scans and counts them.
+"""
 
 from __future__ import annotations
 

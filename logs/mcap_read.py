@@ -92,7 +92,8 @@ class Log:
             except (Damaged, *PARSE_ERRORS) as error:
                 lost = self._indexed_after(record)
                 seen += lost
-                self.skipped[f"messages lost: {error}"] += lost
+                cause = error if isinstance(error, Damaged) else "a record is malformed"
+                self.skipped[f"messages lost: {cause}"] += lost
         statistics = self._summary.statistics
         if statistics is not None and statistics.message_count > seen:
             missing = statistics.message_count - seen

@@ -80,6 +80,6 @@ def _report(salvage: Salvage) -> RecoveryReport:
         last,
         not salvage.closed_well,
         salvage.lost_bytes,
-        tuple(salvage.problems),
+        salvage.problems,
         salvage.unchecked,
     )

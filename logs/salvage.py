@@ -25,6 +25,7 @@ from logs.mcap_file import (
 from logs.mcap_summary import read_summary
 from logs.record_copy import COPIED, RecordCopier
 
+_PROBLEMS_DESCRIBED = 1000  # of a file made to hurt; beyond it they are only counted
 _HEAD = RECORD_HEADER.size + 64  # bytes: enough for the header of a chunk
 
 
@@ -33,12 +34,19 @@ class Salvage:
 
     def __init__(self, path: Path, file: IO[bytes], writer: Writer) -> None:
         self.copied = RecordCopier(writer)
-        self.problems: list[str] = []
+        self._described: list[str] = []
+        self._undescribed = 0
         self.lost_bytes = 0
         self.unchecked = 0  # messages out of a chunk that was cut off
         self.closed_well = False
         self._path, self._file, self._writer = path, file, writer
         self._size = os.fstat(file.fileno()).st_size
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What was lost, piece by piece."""
+        more = (f"and {self._undescribed} more",) if self._undescribed else ()
+        return (*self._described, *more)
 
     def run(self) -> None:
         """Copy record after record until the data ends or the next one cannot be found."""
@@ -62,7 +70,7 @@ class Salvage:
             self.closed_well = True
             missing = statistics.message_count - self.copied.counts.total() if statistics else 0
             if missing > 0:
-                self.problems.append(f"{missing} of the messages that the index counts are gone")
+                self._describe(f"{missing} of the messages that the index counts are gone")
 
     def _copy(self, record: Record) -> None:
         if record.opcode not in COPIED:
@@ -87,7 +95,13 @@ class Salvage:
 
     def _lose(self, start: int, end: int, cause: str) -> None:
         self.lost_bytes += end - start
-        self.problems.append(f"{end - start} bytes at {start}: {cause}")
+        self._describe(f"{end - start} bytes at {start}: {cause}")
+
+    def _describe(self, problem: str) -> None:
+        if len(self._described) < _PROBLEMS_DESCRIBED:
+            self._described.append(problem)
+        else:
+            self._undescribed += 1
 
     def _time_lost(self, start: int) -> str:
         """Say from when the lost chunk was, if enough of it is there to tell."""

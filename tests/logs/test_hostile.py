@@ -6,15 +6,19 @@ import struct
 import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Message, Schema
+from mcap.writer import Writer
 
-from logs.errors import LogError
+from logs.doctor import diagnose
+from logs.errors import LogError, shown
+from logs.info import read_info
 from logs.mcap_file import MAGIC
-from logs.mcap_log import open_log
-from logs.messages import WheelOdometry
+from logs.mcap_log import LogWriter, open_log
+from logs.messages import LaserScan, LoopVerdict, WheelOdometry
 from logs.protos import descriptor_set
 from logs.recover import recover
 from logs.schemas import encode
@@ -94,6 +98,58 @@ def test_a_record_longer_than_the_file_ends_the_reading(tmp_path: Path):
     report = recover(path, tmp_path / "b.mcap")
     assert report.messages == {"/odom": 1}
     assert report.lost
+
+
+def test_thousands_of_bad_records_are_counted_in_bounded_memory(tmp_path: Path):
+    bad = b"\x05" + struct.pack("<Q", 3) + b"abc"
+    path = mcap_of(tmp_path / "a.mcap", channel_records(), GOOD, bad * 20_000)
+    with open_log(path) as log:
+        assert len(list(log.messages())) == 1
+        assert log.skipped == {"messages lost: a message is cut off": 20_000}
+    report = recover(path, tmp_path / "b.mcap")
+    assert len(report.problems) == 1001
+    assert report.problems[-1] == "and 19000 more"
+    assert report.lost_bytes == 20_000 * len(bad)
+
+
+def test_control_characters_and_markup_are_data_and_never_shown_raw(tmp_path: Path):
+    evil = "<script>alert(1)</script>[red]\x1b]0;title\x07\r\n"
+    with LogWriter(tmp_path / "a.mcap", {"robot": evil}) as log:
+        log.add_metadata(evil, {evil: evil})
+        log.add_metadata("recording", {f"dropped {evil}": "1"})
+        log.write(LoopVerdict(0, 0, 1, False, evil, 0.0, 0.0, 0.0))
+    with open_log(tmp_path / "a.mcap") as log:
+        (verdict,) = log.messages()
+        assert verdict.reason == evil
+    info = read_info(tmp_path / "a.mcap")
+    assert info.run["robot"] == evil
+    assert shown(info.run["robot"]).isprintable()
+    assert all(f.text.isprintable() for f in diagnose(tmp_path / "a.mcap").findings)
+
+
+def test_a_second_laser_on_a_topic_of_its_own_is_named_and_not_read(tmp_path: Path):
+    scan = LaserScan(0, 0.0, 0.1, np.ones(9, dtype=np.float32))
+    data = encode(scan)
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(
+            "foxglove.LaserScan", "protobuf", descriptor_set("LaserScan")
+        )
+        for topic in ("/scan", "/rear\x1b[2J"):
+            channel = writer.register_channel(topic, "protobuf", schema)
+            for stamp in (10, 20):
+                writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+    with open_log(tmp_path / "a.mcap") as log:
+        assert [m.stamp_ns for m in log.messages()] == [10, 20]
+        assert not log.skipped
+    other = [f for f in diagnose(tmp_path / "a.mcap").findings if f.code == "another-laser"]
+    assert [f.topic for f in other] == ["/rear\\x1b[2J"]
+    assert {c.topic: c.known for c in read_info(tmp_path / "a.mcap").channels} == {
+        "/scan": True,
+        "/rear\x1b[2J": False,
+    }
 
 
 def test_attachments_with_unsafe_names_or_lengths_are_skipped(tmp_path: Path):

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import resource
+import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -193,6 +195,47 @@ def test_a_disk_that_fails_leaves_a_sound_prefix_and_a_clear_reason(tmp_path: Pa
     assert [m.stamp_ns for m in saved] == list(range(len(saved)))
     assert len(saved) >= 29  # a chunk at least
     assert report.unclosed
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Mount a file system of 1 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(folder)]
+    if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("a small file system can be mounted by root only")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_spoils_nothing_that_was_written(small_disk: Path):
+    rng = np.random.default_rng(1)
+    scans = [LaserScan(k, 0.0, 0.01, rng.random(1081).astype(np.float32)) for k in range(400)]
+    with Recorder(small_disk / "a.mcap", config=RecorderConfig(reserve_bytes=0)) as recorder:
+        for scan in scans:
+            recorder.put(scan)
+        wait_until(lambda: recorder.status().stopped)
+    assert "No space left on device" in recorder.status().stopped
+    target = small_disk.parent / "b.mcap"
+    recover(small_disk / "a.mcap.partial", target)
+    saved = read(target)
+    assert [m.stamp_ns for m in saved] == list(range(len(saved)))
+    assert len(saved) > 50
+
+
+def test_the_watch_stops_before_a_small_disk_is_full(small_disk: Path):
+    rng = np.random.default_rng(1)
+    config = RecorderConfig(reserve_bytes=300_000)
+    with Recorder(small_disk / "a.mcap", config=config) as recorder:
+        for k in range(400):
+            recorder.put(LaserScan(k, 0.0, 0.01, rng.random(1081).astype(np.float32)))
+            time.sleep(0.01)
+            if recorder.status().stopped:
+                break
+    assert "free on the disk" in recorder.status().stopped
+    saved = read(small_disk / "a.mcap")
+    assert [m.stamp_ns for m in saved] == list(range(recorder.status().written))
 
 
 def test_a_recording_replaces_nothing(tmp_path: Path):
