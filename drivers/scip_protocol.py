@@ -21,6 +21,7 @@ MAX_COMMAND = 64  # longest line a client sends, user string included, and some
 _COMMAND = re.compile(rb"(%?[A-Z]{2}|SCIP2\.0)([0-9]*)(?:;([A-Za-z0-9 ._+@]{0,16}))?")
 _SYMBOLS = "BM CR GD GE GS HS II MD ME MS PP QT RB RS RT SS TM VV %ST %SL SCIP2.0".split()
 
+
 def checksum(text: bytes | bytearray) -> int:
     """Return the sum character of a line: six bits, put among the printable ones (section 4)."""
     return (sum(text) & 0x3F) + 0x30
@@ -101,7 +102,12 @@ class Reply:
         return command.symbol if command else ""
 
     @property
-    def encode_reply(echo: bytes, status: str, lines: Iterable[bytes] = ()) -> bytes:
+    def status_name(self) -> str:
+        """The status in words."""
+        return status_name(self.symbol, self.status)
+
+
+def encode_reply(echo: bytes, status: str, lines: Iterable[bytes] = ()) -> bytes:
     """Return a whole reply; `lines` already carry their sums."""
     return b"\n".join([echo, with_sum(status.encode()), *lines]) + b"\n\n"
 

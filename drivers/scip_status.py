@@ -51,11 +51,6 @@ _NAMES: Mapping[str, Mapping[str, str]] = MappingProxyType(
 )
 
 
-def status_name(self) -> str:
-    """The status in words."""
-    return status_name(self.symbol, self.status)
-
-
 def status_name(symbol: str, status: str) -> str:
     """Name the status of a command (section 4.1)."""
     names = _SCAN_NAMES if symbol[:1] in ("G", "M") else _NAMES.get(symbol, {})

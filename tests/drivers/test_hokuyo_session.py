@@ -104,13 +104,13 @@ def test_stamps_follow_the_true_sweeps_within_a_millisecond(laser_bench, drift):
     build = HokuyoBuild(clock_rate=1.0 + drift, clock_start=(1 << 24) - 5000)
     bench = laser_bench(build, faults=WireFaults(delay_s=0.004), **PAPER)
     bench.session.connect()
-    bench.run(40.0)
+    bench.run(25.0)
     stamps = np.array([s.stamp_ns - EPOCH_NS for s in bench.messages(LaserScan)]) * 1e-9
     period = 0.025 / build.clock_rate
     first = 181.5 / 1440 * period
     errors = stamps - first - np.round((stamps - first) / period) * period
     assert np.abs(errors).max() < 3e-3  # sync through up to 4 ms of jitter
-    assert len(stamps) == pytest.approx(1600, abs=3)
+    assert len(stamps) == pytest.approx(1000, abs=3)
 
 
 def test_a_sensor_that_streams_from_a_killed_client_is_calmed_first(laser_bench):

@@ -180,9 +180,9 @@ def keep_alive(bench, until_s):
 @pytest.mark.parametrize("name", MIXTURES)
 def test_odometry_survives_faults_without_a_wrong_pose(robot_bench, name):
     bench = robot_bench(faults=MIXTURES[name])
-    keep_alive(bench, 40.0)
+    keep_alive(bench, 28.0)
     odometry = bench.messages(WheelOdometry)
-    assert len(odometry) > 300
+    assert len(odometry) > 200
     t = np.array([m.stamp_ns for m in odometry]) * 1e-9
     x = np.array([m.x for m in odometry])
     late = x - x[0] - 0.3 * (t - t[0])
@@ -194,10 +194,10 @@ def test_odometry_survives_faults_without_a_wrong_pose(robot_bench, name):
 @pytest.mark.parametrize("name", MIXTURES)
 def test_scans_survive_faults_and_every_loss_is_counted(laser_bench, standing, name):
     bench = laser_bench(faults=MIXTURES[name], motion=standing, cluster=4)
-    keep_alive(bench, 30.0)
+    keep_alive(bench, 25.0)
     counters = bench.session.decoder.counters()
     scans = bench.messages(LaserScan)
-    assert len(scans) == counters["scans"] > 700
+    assert len(scans) == counters["scans"] > 550
     stamps = np.array([s.stamp_ns for s in scans]) * 1e-9
     assert np.all(np.diff(stamps) > 0)
     errors = np.abs(np.diff(stamps) / 0.025 - np.round(np.diff(stamps) / 0.025)) * 0.025
