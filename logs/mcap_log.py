@@ -9,50 +9,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
-
-from mcap.writer import CompressionType, Writer
+from typing import Self
 
 from logs import protos
 from logs.attachments import Attachment, check_attachment
 from logs.errors import LogError
 from logs.mcap_open import SCHEMA_VERSION, open_log
 from logs.mcap_read import Log
+from logs.mcap_writer import CHUNK_BYTES, library_name, new_writer
 from logs.messages import Message
 from logs.partial import PartialFile
 from logs.schemas import CHANNELS, STAMP_LIMIT, Channel, topic_of
 
 __all__ = ["SCHEMA_VERSION", "Attachment", "Log", "LogWriter", "library_name", "open_log"]
 
-CHUNK_BYTES = 256 * 1024
-"""A chunk is the unit of loss and of reading: 256 KiB compresses within 3 % of 1 MiB."""
-
 SYNC_PERIOD_S = 0.5
 """Half of the second that may be lost, so that a slow disk has the other half."""
-
-
-def library_name() -> str:
-    """Return what the files say they were written by."""
-    try:
-        return f"sdp-slam/{version('sdp-slam')}"
-    except PackageNotFoundError:  # run from a checkout that is not installed
-        return "sdp-slam/unknown"
-
-
-def new_writer(stream: IO[bytes], chunk_bytes: int) -> Writer:
-    """Start an MCAP file as all of ours are: no profile, zstd, every checksum."""
-    writer = Writer(
-        stream,
-        chunk_size=chunk_bytes,
-        compression=CompressionType.ZSTD,
-        enable_crcs=True,
-        enable_data_crcs=True,
-    )
-    writer.start(profile="", library=library_name())
-    return writer
 
 
 class LogWriter:

@@ -15,8 +15,8 @@ from mcap.writer import Writer
 
 from logs.errors import LogError
 from logs.mcap_file import MAGIC, PARSE_ERRORS, Damaged, read_body, walk
-from logs.mcap_log import new_writer
 from logs.mcap_summary import Summary, open_file, read_summary
+from logs.mcap_writer import new_writer
 from logs.partial import PartialFile
 from logs.record_copy import COPIED, RecordCopier
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.mcap_log import CHUNK_BYTES, new_writer
 from logs.mcap_summary import open_file
+from logs.mcap_writer import CHUNK_BYTES, new_writer
 from logs.partial import PartialFile
 from logs.salvage import Salvage
 
