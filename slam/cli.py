@@ -18,13 +18,19 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-LogArgument = Annotated[Path, typer.Argument(help="An MCAP log.", show_default=False)]
-ConfigOption = Annotated[Path | None, typer.Option(help="Configuration file (TOML).")]
+# `readable=False`: whoever opens a file says in one line why it cannot be read.
+LogArgument = Annotated[
+    Path, typer.Argument(help="An MCAP log.", show_default=False, readable=False)
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option(help="Configuration file (TOML).", readable=False)
+]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
 ]
 TruthOption = Annotated[
-    Path | None, typer.Option(help="Truth: relations, TUM trajectory, or surveyed poses (CSV).")
+    Path | None,
+    typer.Option(help="Truth: relations, TUM trajectory, or surveyed poses (CSV).", readable=False),
 ]
 
 LOSS = 3  # exit code: finished, but data was lost or skipped
@@ -54,7 +60,9 @@ def simulate(
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(help="CARMEN or BreezySLAM log, gzipped or plain.")],
+    file: Annotated[
+        Path, typer.Argument(help="CARMEN or BreezySLAM log, gzipped or plain.", readable=False)
+    ],
     out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
 ) -> None:
     """Turn a foreign log into an MCAP log; what is repaired or skipped is counted."""
@@ -116,7 +124,9 @@ def info(log: LogArgument) -> None:
 
 @app.command()
 def recover(
-    file: Annotated[Path, typer.Argument(help="A log that was not closed, or is damaged.")],
+    file: Annotated[
+        Path, typer.Argument(help="A log that was not closed, or is damaged.", readable=False)
+    ],
     out: Annotated[Path, typer.Option(help="Sound log to write (.mcap).")],
 ) -> None:
     """Save what is intact of a damaged log; exit code 3 if anything was lost."""
@@ -266,14 +276,22 @@ def _line(error: Exception) -> str:
 
 
 def _known(error: Exception) -> bool:
-    """Whether the message was written for the person at the terminal."""
-    from backend.edges import GraphError
-    from logs.errors import LogError
-    from slam.config import ConfigError
-    from slam.errors import ReportError, RunError
-    from slam.offline import SlamError
+    """Whether the message was written for the person at the terminal.
 
-    return isinstance(error, (LogError, ConfigError, RunError, ReportError, SlamError, GraphError))
+    By name, because loading the modules of all these errors takes longer than most failures.
+    """
+    names = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
+    return not names.isdisjoint(_KNOWN)
+
+
+_KNOWN = {
+    "backend.edges.GraphError",
+    "logs.errors.LogError",
+    "slam.config.ConfigError",
+    "slam.errors.ReportError",
+    "slam.errors.RunError",
+    "slam.offline.SlamError",
+}
 
 
 if __name__ == "__main__":
