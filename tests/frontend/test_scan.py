@@ -97,7 +97,7 @@ def test_the_claimed_uncertainty_of_normals_is_the_real_one():
     normalised = []
     for _ in range(40):
         prepared = prepare(take_scan(wall, Pose2(), laser, rng), CENTRED, CONFIG)
-        nx, ny, _, s2 = prepared.lines[180]
+        nx, ny, _, s2 = prepared.lines[180, :4]
         normalised.append(np.arctan2(-ny, -nx) / np.sqrt(s2))
     assert 0.5 < np.std(normalised) < 1.5
 
