@@ -7,6 +7,7 @@ from numba import njit
 
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
 from frontend.icp_kernels import SYSTEM, gauss_newton
+from frontend.scatter_kernels import scatter
 
 
 @njit(cache=True, nogil=True)
@@ -14,8 +15,10 @@ def align(
     source_points,
     source_lines,
     source_flags,
+    source_geometry,
     points,
     lines,
+    windows,
     flags,
     starts,
     geometries,
@@ -27,7 +30,7 @@ def align(
     has_prior,
     passes,
     noise,
-    spread,
+    variance,
     floor_trans,
     floor_rot,
     iterations,
@@ -44,9 +47,12 @@ def align(
     known = np.empty((3, 3))
     invert3(prior_covariance, known)
     pull = known if has_prior else np.zeros((3, 3))
+    partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
+    gradient = np.empty(6)
     size, count = 0.0, 0
     for k in range(len(passes)):
         beams = int(passes[k, 3])
+        partners[:] = -1  # beams that this pass leaves out have none
         stride = max(1, len(source_points) // beams) if beams > 0 else 1
         size, used = gauss_newton(
             source_points,
@@ -68,10 +74,30 @@ def align(
             passes[k, 1],
             iterations,
             passes[k, 2],
+            partners,
             system,
         )
         count += used
-    own_information(system, spread, floor_trans, floor_rot, information)
+    surplus = scatter(
+        source_points,
+        source_flags,
+        source_geometry,
+        points,
+        lines,
+        windows,
+        flags,
+        starts,
+        geometries,
+        noise,
+        poses,
+        pose,
+        partners,
+        passes[len(passes) - 1, 1],
+        gradient,
+    )
+    own_information(
+        system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
+    )
     combine(information, known, covariance)
     axis, weakness = weakest_axis(information, prior_covariance)
     return size, count, axis, weakness

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from frontend.icp_kernels import FEIGNED
+from frontend.icp_kernels import FEIGNED, eigen2
 
 
 @njit(cache=True, nogil=True)
@@ -27,52 +27,64 @@ def invert3(a, out):
 
 
 @njit(cache=True, nogil=True)
-def eigen2(a, b, c):
-    """Smaller and larger eigenvalue of [[a, b], [b, c]] and the direction (rad) of the smaller."""
-    half = 0.5 * (a + c)
-    root = np.sqrt(0.25 * (a - c) * (a - c) + b * b)
-    # The larger eigenvalue's direction is half the angle of (a - c, 2 b).
-    return half - root, half + root, 0.5 * np.arctan2(2.0 * b, a - c) + 0.5 * np.pi
+def multiply3(a, b, out):
+    """Product of two (3, 3) matrices."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
 @njit(cache=True, nogil=True)
-def own_information(system, spread, floor_trans, floor_rot, information):
+def own_information(system, gradient, variance, floor_trans, floor_rot, information):
     """(3, 3) information of the match alone, with what noisy normals feign taken out.
 
     Normals that err by a variance s2 turn the information n n' into n n' + s2 t t': a plain
     wall seems to know where along it the robot is.  The expected surplus is subtracted, as far
-    as the difference keeps no negative direction; then the bias floor is added to the
-    covariance, in information form, since axes may be blind.  `spread` (m^2) is the variance
-    that one residual counts with.
+    as the difference keeps no negative direction.  The covariance is the sandwich
+    H^-1 M H^-1 variance of an estimator whose gradient scatters by M (`gradient`, 6) for unit
+    noise, plus a floor for what no number of beams removes; all in information form, since axes
+    may be blind.  `variance` (m^2) is that of a range.
     """
     f = FEIGNED
+    turn = max(system[5], 1e-300)
+    # What is known of the translation when the heading is not: the Schur complement.
+    bxx, bxy, byy = system[2] ** 2 / turn, system[2] * system[4] / turn, system[4] ** 2 / turn
     low, high, angle = eigen2(
-        system[0] - system[f], system[1] - system[f + 1], system[3] - system[f + 2]
+        system[0] - bxx - system[f],
+        system[1] - bxy - system[f + 1],
+        system[3] - byy - system[f + 2],
     )
     low, high = max(low, 0.0), max(high, 0.0)
     c, s = np.cos(angle), np.sin(angle)
     h = np.empty((3, 3))
-    h[0, 0] = low * c * c + high * s * s
-    h[0, 1] = (low - high) * c * s
-    h[1, 1] = low * s * s + high * c * c
+    h[0, 0] = low * c * c + high * s * s + bxx
+    h[0, 1] = (low - high) * c * s + bxy
+    h[1, 1] = low * s * s + high * c * c + byy
     h[0, 2], h[1, 2], h[2, 2] = system[2], system[4], system[5]
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
-    # (h^-1 + floor)^-1 = h (1 + floor h)^-1, which needs no inverse of a blind h.
-    a = np.empty((3, 3))
+    m = np.empty((3, 3))
+    m[0, 0], m[0, 1], m[0, 2] = gradient[0], gradient[1], gradient[2]
+    m[1, 1], m[1, 2], m[2, 2] = gradient[3], gradient[4], gradient[5]
+    m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
+    ridge = 1e-9 * (m[0, 0] + m[1, 1]) + 1e-12
+    for i in range(3):
+        m[i, i] += ridge
+    inverse, product, a = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    invert3(m, inverse)
+    multiply3(h, inverse, product)
+    multiply3(product, h, a)
+    # (a^-1 + floor)^-1 = a (1 + floor a)^-1, which needs no inverse of a blind a.
     for i in range(3):
         floor = floor_rot * floor_rot if i == 2 else floor_trans * floor_trans
         for j in range(3):
-            h[i, j] /= spread
-            a[i, j] = floor * h[i, j]
-        a[i, i] += 1.0
-    inverse = np.empty((3, 3))
-    invert3(a, inverse)
+            a[i, j] /= variance
+            m[i, j] = floor * a[i, j]
+        m[i, i] += 1.0
+    invert3(m, inverse)
+    multiply3(a, inverse, product)
     for i in range(3):
         for j in range(3):
-            a[i, j] = h[i, 0] * inverse[0, j] + h[i, 1] * inverse[1, j] + h[i, 2] * inverse[2, j]
-    for i in range(3):
-        for j in range(3):
-            information[i, j] = 0.5 * (a[i, j] + a[j, i])
+            information[i, j] = 0.5 * (product[i, j] + product[j, i])
 
 
 @njit(cache=True, nogil=True)

@@ -126,7 +126,7 @@ def accumulate(
     `partners` (references, beams) keeps the pairs: looked for anew if `search`, else taken as
     they are.  `transforms` (references, 4) is scratch for cos, sin, x, y of reference_T_source.
     """
-    # Sums in plain variables: an array element could alias the inputs and would be stored each time.
+    # Sums in plain variables: array elements could alias the inputs and be stored each time.
     hxx = hxy = hxt = hyy = hyt = htt = 0.0
     gx = gy = gt = cost = weight = 0.0
     fxx = fxy = fyy = 0.0
@@ -165,9 +165,11 @@ def accumulate(
             # The normal in the source frame.
             ax, ay = c * nx + s * ny, c * ny - s * nx
             if source_flags[i] & LINE and ax * source_lines[i, 0] + ay * source_lines[i, 1] < 0.5:
+                partners[ref, i] = -1
                 continue
             residual = nx * px + ny * py - lines[j, 2]
             if abs(residual) > gate:
+                partners[ref, i] = -1
                 continue
             paired = True
             at = ay * qx - ax * qy
@@ -204,6 +206,39 @@ def accumulate(
     system[FEIGNED], system[FEIGNED + 1], system[FEIGNED + 2] = fxx, fxy, fyy
     system[TRIED], system[INLIERS] = tried, inliers
     system[PAIRED], system[FITTING] = beams_paired, beams_fitting
+
+
+@njit(cache=True, nogil=True)
+def eigen2(a, b, c):
+    """Smaller and larger eigenvalue of [[a, b], [b, c]] and the direction (rad) of the smaller."""
+    half = 0.5 * (a + c)
+    root = np.sqrt(0.25 * (a - c) * (a - c) + b * b)
+    # The larger eigenvalue's direction is half the angle of (a - c, 2 b).
+    return half - root, half + root, 0.5 * np.arctan2(2.0 * b, a - c) + 0.5 * np.pi
+
+
+@njit(cache=True, nogil=True)
+def quiet_blind_axis(system):
+    """Shrink the gradient along the axis that only noisy normals seem to see.
+
+    Pairs move along a plain wall with the scan, so no residual ever ends a push along it: what
+    pushes there is noise, and only the prior would hold against it.  The gradient keeps the
+    share of the information that is real.
+    """
+    turn = max(system[5], 1e-300)
+    xx = system[0] - system[2] * system[2] / turn
+    xy = system[1] - system[2] * system[4] / turn
+    yy = system[3] - system[4] * system[4] / turn
+    low, _, angle = eigen2(xx, xy, yy)
+    x, y = np.cos(angle), np.sin(angle)
+    feigned = (
+        system[FEIGNED] * x * x + 2.0 * system[FEIGNED + 1] * x * y + system[FEIGNED + 2] * y * y
+    )
+    if feigned > 0.0:
+        surplus = min(feigned / max(low, 1e-300), 1.0)
+        along = surplus * (x * system[6] + y * system[7])
+        system[6] -= along * x
+        system[7] -= along * y
 
 
 @njit(cache=True, nogil=True)
@@ -252,6 +287,7 @@ def gauss_newton(
     scale,
     iterations,
     tolerance,
+    partners,
     system,
 ):
     """Iterate from `pose` (3,), which it overwrites; returns (size of the last step, count).
@@ -265,7 +301,6 @@ def gauss_newton(
     step = np.zeros(3)
     before = np.zeros(3)
     transforms = np.empty((len(starts) - 1, 4))
-    partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
     inverse = stride / (noise * noise)
     damping = 1.0
     size = np.inf
@@ -292,6 +327,7 @@ def gauss_newton(
             transforms,
             system,
         )
+        quiet_blind_axis(system)
         for k in range(6):
             a[k] = system[k] * inverse
         # The prior's error, in the frame of the current pose (rotation differences are small).

@@ -50,12 +50,10 @@ class MatchConfig(BaseModel):
         0.35, ge=0, le=1, description="share of paired beams that must fit"
     )
     correlation: float = Field(
-        2.0,
-        gt=0,
-        description="how many times the independent-beam covariance understates the true one",
+        1.15, gt=0, description="factor on the covariance that range noise alone explains"
     )
-    floor_trans: float = Field(0.004, ge=0, description="m, bias that no number of beams removes")
-    floor_rot: float = Field(0.0015, ge=0, description="rad, the same for the heading")
+    floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
+    floor_rot: float = Field(0.00025, ge=0, description="rad, the same for the heading")
 
     @cached_property
     def passes_with_prior(self) -> Matrix:
@@ -147,26 +145,24 @@ def match(
     if stack is None:
         return _refused(guess, prior, "no reference has usable beams")
     passes = config.passes_without_prior if prior is None else config.passes_with_prior
-    result = _align(stack, len(references), source, guess, passes, config, prior)
+    result = _align(stack, source, guess, passes, config, prior)
     if prior is not None or result.quality >= config.good_quality:
         return result
     # Nothing vouches for the guess and the outcome is poor: it may have been caught on the way.
     rivals = [
-        _align(stack, len(references), source, start, passes[:2], config, None)
+        _align(stack, source, start, passes[:2], config, None)
         for start in (guess * shift for shift in STARTS)
     ]
     best = max(rivals, key=lambda rival: rival.quality)
     if best.quality > result.quality:
-        again = _align(
-            stack, len(references), source, best.target_T_source, passes[1:], config, None
-        )
+        again = _align(stack, source, best.target_T_source, passes[1:], config, None)
         if again.quality > result.quality:
             return again
     return result
 
 
 def _align(
-    stack: tuple[Any, ...], references: int, source: PreparedScan, guess: Pose2, passes: Matrix,
+    stack: tuple[Any, ...], source: PreparedScan, guess: Pose2, passes: Matrix,
     config: MatchConfig, prior: Prior | None,
 ) -> MatchResult:  # fmt: skip
     """One start: the passes, and what came of them."""
@@ -175,11 +171,10 @@ def _align(
     centre = pose.copy() if prior is None else _vector(prior.target_T_source)
     information, covariance = np.empty((3, 3)), np.empty((3, 3))
     system = np.zeros(SYSTEM)
-    # Each reference adds pairs of the same source beams: their noise is not averaged again.
-    spread = config.range_noise**2 * config.correlation * references
+    variance = config.range_noise**2 * config.correlation
     last_step, iterations, axis, weakness = align(
-        source.points, source.lines, source.flags, *stack, pose, centre, known,
-        prior is not None, passes, config.range_noise, spread, config.floor_trans,
+        source.points, source.lines, source.flags, source.geometry, *stack, pose, centre, known,
+        prior is not None, passes, config.range_noise, variance, config.floor_trans,
         config.floor_rot, config.iterations, information, covariance, system,
     )  # fmt: skip
     pairs = int(system[PAIRS])
@@ -213,20 +208,23 @@ def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     if len(used) == 1:
         starts = np.array([0, len(first.points)])
         geometries, reach2 = first.geometry[None], first.reach2[None]
-        return first.points, first.lines, first.flags, starts, geometries, reach2, poses
+        return (
+            first.points, first.lines, first.windows, first.flags, starts, geometries, reach2, poses
+        )  # fmt: skip
     same = all(r.scan.reach2 is first.reach2 for r in used)
     joined = (
         np.concatenate([r.scan.points for r in used]),
         np.concatenate([r.scan.lines for r in used]),
+        np.concatenate([r.scan.windows for r in used]),
         np.concatenate([r.scan.flags for r in used]),
         np.array([r.scan.geometry for r in used]),
         first.reach2[None] if same else np.array([r.scan.reach2 for r in used]),
     )
     for array in joined:  # like those of a single scan, so that one compiled kernel serves both
         array.setflags(write=False)
-    points, lines, flags, geometries, reach2 = joined
+    points, lines, windows, flags, geometries, reach2 = joined
     starts = np.cumsum([0] + [len(r.scan.points) for r in used])
-    return points, lines, flags, starts, geometries, reach2, poses
+    return points, lines, windows, flags, starts, geometries, reach2, poses
 
 
 def _refused(guess: Pose2, prior: Prior | None, reason: str) -> MatchResult:

@@ -29,7 +29,7 @@ class ScanConfig(BaseModel):
     range_noise: float = Field(0.010, gt=0, description="m, one sigma of a single reading")
     max_range: float = Field(60.0, gt=0, description="m, readings beyond are not used")
     line_tolerance: float = Field(
-        2.0, gt=0, description="largest rms of a fitted line, in units of range_noise"
+        1.0, gt=0, description="sigmas of range_noise that count as noise when fitting a line"
     )
     gap_ratio: float = Field(
         10.0, gt=1, description="a gap wider than this times the beam spacing parts two surfaces"
@@ -43,13 +43,15 @@ class ScanConfig(BaseModel):
 class PreparedScan:
     """A scan ready for matching, in the base frame, ordered by bearing from the laser.
 
-    `lines` holds (nx, ny, d, s2) a beam: the unit normal that points to the laser, the offset
-    with n . p = d for points p of the line, and the variance of the normal's angle (rad^2).
+    `lines` holds (nx, ny, d, s2, m) a beam: the unit normal that points to the laser, the offset
+    with n . p = d for points p of the line, the variance of the normal's angle (rad^2), and the
+    position (-ny, nx) . p of the middle of the points it was fitted to.
     """
 
     stamp_ns: int
     points: NDArray[np.float64]  # (n, 2) m; nan where the beam brought nothing back
-    lines: NDArray[np.float64]  # (n, 4)
+    lines: NDArray[np.float64]  # (n, 5)
+    windows: NDArray[np.int32]  # (n, 2) first and last beam that the line was fitted to
     flags: NDArray[np.uint8]  # (n,) VALID | LINE
     geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, 1 if 360 deg
     valid: int  # beams with a point
@@ -82,7 +84,8 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
         angle_min, step = angle_min + step * (len(ranges) - 1), -step
         ranges = np.ascontiguousarray(ranges[::-1])
     points = np.empty((len(ranges), 2))
-    lines = np.zeros((len(ranges), 4))
+    lines = np.zeros((len(ranges), 5))
+    windows = np.zeros((len(ranges), 2), dtype=np.int32)
     flags = np.zeros(len(ranges), dtype=np.uint8)
     nearest = max(scan.range_min, 1e-3)
     farthest = min(scan.range_max, config.max_range)
@@ -90,19 +93,13 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     geometry = np.array([angle_min + mount.theta, step, mount.x, mount.y, full])
     centre = np.zeros(2)
     valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
-    noise, widest = config.range_noise, config.gap_ratio
+    noise, tolerance = config.range_noise, config.line_tolerance
     fit_lines(
-        points,
-        flags,
-        geometry,
-        noise,
-        config.line_tolerance,
-        widest,
-        config.normal_sigma_max,
-        lines,
-    )
-    for array in (points, lines, flags, geometry, centre):
+        points, flags, geometry, noise, tolerance, config.gap_ratio, config.normal_sigma_max,
+        lines, windows,
+    )  # fmt: skip
+    for array in (points, lines, windows, flags, geometry, centre):
         array.setflags(write=False)
     return PreparedScan(
-        scan.stamp_ns, points, lines, flags, geometry, valid, centre, reach_table(step)
-    )
+        scan.stamp_ns, points, lines, windows, flags, geometry, valid, centre, reach_table(step)
+    )  # fmt: skip

@@ -57,14 +57,14 @@ def _fit(sums, i, j):
 
 
 @njit(cache=True, nogil=True)
-def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines):
-    """Fit to every valid beam the longest straight window around it; fills lines, marks flags.
+def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines, windows):
+    """Fit to every valid beam the longest straight window around it; fills lines and windows.
 
     Least squares on prefix sums, so that a window of any length costs the same.
     """
     n = len(points)
     step, ox, oy = geometry[1], geometry[2], geometry[3]
-    limit = (tolerance * noise) ** 2
+    limit = (tolerance * noise) ** 2  # variance that counts as noise
     sums = np.zeros((n + 1, 5))
     first = np.empty(n, dtype=np.int64)  # of the unbroken surface that beam i lies on
     last = np.empty(n, dtype=np.int64)
@@ -111,14 +111,39 @@ def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, l
         lines[i, 0], lines[i, 1] = nx, ny
         lines[i, 2] = d + nx * ox + ny * oy
         lines[i, 3] = variance
+        lines[i, 4] = nx * (my + oy) - ny * (mx + ox)
+        windows[i, 0], windows[i, 1] = a, b
         flags[i] |= LINE
 
 
 @njit(cache=True, nogil=True)
-def _straight(sums, a, b, limit):
+def _straight(sums, a, b, variance):
+    """Whether points a..b lie on a line to within their noise, of the given variance (m^2).
+
+    Two tests: the residuals scatter no more than noise does (three sigmas of the sample variance
+    are allowed), and no third of the points lies off the line on average, which finds the shallow
+    step or bow that a long window's scatter hides.
+    """
     if b - a < 2:
         return False
-    return _fit(sums, a, b)[5] <= limit
+    mx, my, xx, yy, xy, residual, _ = _fit(sums, a, b)
+    m = b - a - 1.0
+    if residual > variance * (1.0 + 3.0 * np.sqrt(2.0 / m)):
+        return False
+    third = (b - a + 1) // 3
+    if third < 2:
+        return True
+    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    nx, ny = -np.sin(angle), np.cos(angle)
+    allowed = 9.0 * variance / third
+    for part in range(3):
+        i = a + part * third if part < 2 else b + 1 - third
+        dx = (sums[i + third, 0] - sums[i, 0]) / third - mx
+        dy = (sums[i + third, 1] - sums[i, 1]) / third - my
+        off = nx * dx + ny * dy
+        if off * off > allowed:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)
