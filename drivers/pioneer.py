@@ -183,7 +183,11 @@ class Pioneer:
         self._heard_ns = self._clock()
         self._send(Id.PULSE)
         self._pulsed_ns = self._heard_ns
-        name = self.decoder.identity or "robot of the configured model"
+        who = self.decoder.identity
+        name = (
+            f"{who.robot_class} {who.subclass} {who.name}" if who is not None
+            else "robot of the configured model"
+        )  # fmt: skip
         return f"{how}: {name} on {self._config.port} at {self._baud} baud"
 
     def _synchronise(self) -> _Outcome:

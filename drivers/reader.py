@@ -91,6 +91,11 @@ class DeviceReader:
         return not self._thread.is_alive()
 
     @property
+    def device(self) -> DeviceName:
+        """Which device it reads."""
+        return self._session.device
+
+    @property
     def running(self) -> bool:
         """Whether the thread is there."""
         return self._thread.is_alive()

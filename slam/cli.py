@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from slam.cli_online import drivers_app, online
+
 app = typer.Typer(
     name="slam",
     help="2D laser SLAM for a Pioneer P3-DX and a Hokuyo: SDP-PE keyframes, ICP factors, GTSAM.",
@@ -17,6 +19,9 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.command()(online)
+app.add_typer(drivers_app, name="drivers")
 
 # `readable=False`: whoever opens a file says in one line why it cannot be read.
 LogArgument = Annotated[

@@ -8,7 +8,7 @@ import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -21,6 +21,8 @@ from slam.loops import LoopConfig
 from slam.occupancy import MapConfig
 from slam.odometry import OdometryConfig
 from slam.tracking import TrackingConfig
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class ConfigError(Exception):
@@ -57,6 +59,11 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
     Raises:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
+    return load_model(SlamConfig, path, overrides)
+
+
+def load_model(kind: type[Model], path: Path | None, overrides: Sequence[str] = ()) -> Model:
+    """Read a model of any kind as `load_config` does; raises like it."""
     data: dict[str, Any] = {}
     if path is not None:
         try:
@@ -65,17 +72,17 @@ def load_config(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
             raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
-        _validated(data, str(path))  # so that a mistake in the file is not blamed on --set
+        _validated(kind, data, str(path))  # so that a mistake in the file is not blamed on --set
     for override in overrides:
         _apply(data, override)
-    return _validated(data, "--set")
+    return _validated(kind, data, "--set")
 
 
-def _validated(data: dict[str, Any], where: str) -> SlamConfig:
+def _validated(kind: type[Model], data: dict[str, Any], where: str) -> Model:
     try:
-        return SlamConfig.model_validate(data)
+        return kind.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {describe(error)}") from error
+        raise ConfigError(f"{where}: {describe(error, kind)}") from error
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
@@ -96,12 +103,14 @@ def _apply(data: dict[str, Any], override: str) -> None:
     table[name] = value
 
 
-def describe(error: ValidationError) -> str:
-    """The first problem in one line; for an unknown key, the nearest known one."""
+def describe(error: ValidationError, kind: type[BaseModel] = SlamConfig) -> str:
+    """The first problem in one line; for an unknown key, the nearest known one of `kind`."""
     first = error.errors()[0]
     location = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"unknown setting {location}{nearest(location, known_keys(SlamConfig))}"
+        return f"unknown setting {location}{nearest(location, known_keys(kind))}"
+    if first["type"] == "missing":
+        return f"{location} is missing: it has no usual value"
     if first["type"] == "model_type":
         return f"{location} is a section: set {location}.NAME (got {first['input']!r})"
     if first["type"] == "value_error":  # of several settings together

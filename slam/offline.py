@@ -77,11 +77,9 @@ def run_offline(
     truth: list[TruePose] = []
     has_odometry = False
     for count, message in enumerate(_timed(source(), watch)):
-        if cause := flaw(message):
-            slam.lost[cause] += 1
+        if not feed(slam, message, step):
             continue
         has_odometry = has_odometry or isinstance(message, WheelOdometry)
-        step(slam, message)
         if isinstance(message, TruePose):
             truth.append(message)
         tell("tracking", count)
@@ -91,6 +89,15 @@ def run_offline(
             f"no usable odometry among {count + 1} messages: record the robot's wheels (/odom) too"
         )
     return finish(slam, source, truth, watch, tell)
+
+
+def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = Slam.step) -> bool:
+    """Hand one message to the pipeline, live and in replay alike; False if it is of no use."""
+    if cause := flaw(message):
+        slam.lost[cause] += 1
+        return False
+    step(slam, message)
+    return True
 
 
 def finish(

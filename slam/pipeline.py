@@ -91,6 +91,11 @@ class Slam:
             return
         self._drain(wait=True)
 
+    @property
+    def waiting_scans(self) -> int:
+        """How many scans wait for odometry after them."""
+        return len(self._pending)
+
     def finish_input(self) -> None:
         """No more messages will come: use what still waits."""
         self._drain(wait=False)

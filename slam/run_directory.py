@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -47,9 +47,16 @@ def new_run(out: Path) -> Iterator[Path]:
 
 
 def write_results(
-    directory: Path, result: Result, identity: Mapping[str, str], config_json: bytes
+    directory: Path,
+    result: Result,
+    identity: Mapping[str, str],
+    config_json: bytes,
+    write_input: Callable[[LogWriter], None] | None = None,
 ) -> None:
-    """Write all of a run but its summary; deterministic but for the identity."""
+    """Write all of a run but its summary; deterministic but for the identity.
+
+    `write_input` puts a recording in front of the results, where the log shall hold it too.
+    """
     write_tum(directory / "trajectory.tum", result.trajectory)
     write_tum(directory / "keyframes.tum", result.keyframes)
     write_tum(directory / "odometry.tum", result.odometry)
@@ -57,7 +64,13 @@ def write_results(
     write_times(directory / "graph.times.csv", result)
     write_nav2_map(directory, result.grid)
     write_map_png(directory / "map.png", result.grid, result.trajectory)
-    _write_log(directory / "run.mcap", result, identity, config_json)
+    with LogWriter(directory / "run.mcap", identity, keep_partial=False) as log:
+        log.add_attachment("config.json", config_json, "application/json")
+        if write_input is None:
+            log.write(result.slam.mount)
+        else:
+            write_input(log)
+        _write_decisions(log, result)
 
 
 def write_times(path: Path, result: Result) -> None:
@@ -69,17 +82,14 @@ def write_times(path: Path, result: Result) -> None:
     path.write_text("\n".join(rows) + "\n", encoding="ascii")
 
 
-def _write_log(path: Path, result: Result, identity: Mapping[str, str], config_json: bytes) -> None:
+def _write_decisions(log: LogWriter, result: Result) -> None:
     slam = result.slam
-    with LogWriter(path, identity, keep_partial=False) as log:
-        log.add_attachment("config.json", config_json, "application/json")
-        log.write(slam.mount)
-        for group in (
-            result.truth, slam.decisions, slam.factors, slam.loops.verdicts, result.estimates,
-            [result.grid],
-        ):  # fmt: skip
-            for message in group:
-                log.write(message)
+    for group in (
+        result.truth, slam.decisions, slam.factors, slam.loops.verdicts, result.estimates,
+        [result.grid],
+    ):  # fmt: skip
+        for message in group:
+            log.write(message)
 
 
 def write_summary(directory: Path, summary: Mapping[str, Any]) -> None:

@@ -1,0 +1,102 @@
+"""The commands that talk to a robot: `slam online` and `slam drivers probe`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from slam.online_status import Status
+
+drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
+_LOSS = 3  # exit code: finished, but data was lost
+_QUIET_S = 10.0  # s between progress lines where stderr is no terminal
+
+
+def online(
+    config: Annotated[
+        Path, typer.Option(help="robot.toml: ports, mount, settings.", readable=False)
+    ],
+    out: Annotated[Path, typer.Option(help="RUN directory to make.")],
+    record_only: Annotated[bool, typer.Option(help="Record; make no map.")] = False,
+    seconds: Annotated[
+        float, typer.Option(min=0, help="End after so many seconds; 0: on Ctrl-C.")
+    ] = 0.0,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
+    ] = None,
+) -> None:
+    """Record and map on the robot until Ctrl-C. The motors are never touched."""
+    from slam.online import run_online
+    from slam.robot_config import load_robot
+    from slam.stop_request import StopRequest
+
+    settings = load_robot(config, set_ or [])
+    terminal = sys.stderr.isatty()
+    with StopRequest() as request:
+        timer = _Timer(seconds)
+        summary = run_online(
+            settings, out, record_only=record_only,
+            stop=lambda: request() or timer.over(),
+            tell=lambda status: _progress(status, terminal),
+            say=_say, period_s=1.0 if terminal else _QUIET_S,
+        )  # fmt: skip
+    for cause, count in summary["lost"].items():
+        _say(f"  lost: {count} {cause}")
+    typer.echo(f"{out}: {summary['scans']} scans, {summary.get('keyframes', 0)} keyframes")
+    code = request.exit_code or (_LOSS if summary["lost"] else 0)
+    if code:
+        raise typer.Exit(code)
+
+
+@drivers_app.command()
+def probe(
+    ports: Annotated[
+        list[str],
+        typer.Argument(help="Serial devices, or tcp://host:port.", show_default=False),
+    ],
+    seconds: Annotated[float, typer.Option(min=0.2, help="How long to listen to each.")] = 1.5,
+) -> None:
+    """Say what is connected to each port, and what to do where something is wrong."""
+    from drivers.probe import probe as ask
+
+    reports = []
+    for port in ports:
+        _say(f"{port}: asking ...")
+        report = ask(port, seconds)
+        reports.append(report)
+        typer.echo(f"{port}: {report.title}")
+        for name, value in report.facts:
+            typer.echo(f"  {name:<24} {value}")
+        for advice in report.advice:
+            typer.echo(f"  ! {advice}")
+    if not all(report.sound for report in reports):
+        raise typer.Exit(1)
+
+
+class _Timer:
+    """Runs from the first look at it, which is when the recording has begun."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._began = seconds, 0.0
+
+    def over(self) -> bool:
+        """Whether time is up; never without a limit."""
+        self._began = self._began or time.monotonic()
+        return self._seconds > 0 and time.monotonic() - self._began >= self._seconds
+
+
+def _progress(status: Status, terminal: bool) -> None:
+    """News stay; the line of figures is rewritten on a terminal, elsewhere there is one more."""
+    erase = "\r\x1b[K" if terminal else ""
+    for text in status.news:
+        _say(f"{erase}{text}")
+    typer.echo(f"{erase}{status.line()}", err=True, nl=not terminal)
+
+
+def _say(text: str) -> None:
+    typer.echo(text, err=True)

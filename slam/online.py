@@ -1,0 +1,162 @@
+"""`slam online`: drivers, log and pipeline on the robot; ends with a complete RUN."""
+
+from __future__ import annotations
+
+import platform
+import resource
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.connection import steady_utc
+from drivers.ports import Port, open_port
+from logs.mcap_log import open_log
+from logs.messages import Message
+from logs.recorder import Recorder
+from logs.recording import RecordingStatus
+from slam.errors import RunError
+from slam.offline import Result, SlamError, finish
+from slam.online_live import LiveRun
+from slam.online_run import RECORDING, add_results, finish_folder, online_run
+from slam.online_status import Status
+from slam.online_warmup import warm_up
+from slam.pipeline import Slam
+from slam.replay import SLAM_TOPICS, summarise, time_matches
+from slam.robot_config import RobotConfig
+from slam.run_directory import version
+from slam.stopwatch import Stopwatch
+
+
+def run_online(
+    config: RobotConfig,
+    out: Path,
+    *,
+    stop: Callable[[], bool],
+    record_only: bool = False,
+    tell: Callable[[Status], None] = lambda status: None,
+    say: Callable[[str], None] = lambda text: None,
+    period_s: float = 1.0,
+    opener: Callable[[str, int], Port] = open_port,
+) -> dict[str, Any]:
+    """Record and map until `stop` says so, write the RUN, and return its summary.
+
+    Args:
+        config: of robot, laser, recording and pipeline.
+        out: the RUN to make.
+        stop: asked several times a second.
+        record_only: leave the pipeline out.
+        tell: given a status every `period_s` seconds.
+        say: told what happens, in words.
+        period_s: between two statuses.
+        opener: opens ports; replaced in tests.
+
+    Raises:
+        RunError: `out` cannot be written, or nothing was there to map; what was recorded is
+            in `out` all the same.
+        LogError: the disk failed.
+    """
+    watch = Stopwatch()
+    slam = None if record_only else Slam(config.slam, watch)
+    identity = {
+        "source": "online", "version": version(), "config_sha256": config.slam.sha256(),
+        "host": platform.node(),
+    }  # fmt: skip
+    began = time.perf_counter(), time.process_time()
+    with online_run(out) as folder:
+        if slam is not None:
+            say("getting ready (kernels compile the first time)")
+            warm_up(config.slam)
+        clock = steady_utc()
+        recording = config.recording.recorder(recompress=record_only)
+        with Recorder(folder / RECORDING, identity, recording) as recorder:
+            recorder.add_attachment(
+                "config.json", config.slam.model_dump_json(indent=2).encode(), "application/json"
+            )
+            recorder.add_attachment(
+                "robot.json", config.model_dump_json(indent=2, exclude={"slam"}).encode(),
+                "application/json",
+            )  # fmt: skip
+            live = LiveRun(config, recorder, clock, slam, opener)
+            say("recording; stop with Ctrl-C")
+            live.run(stop, tell, period_s)
+        status = recorder.status()
+        summary = _account(live, status, identity)
+        say(f"recorded {status.written} messages")
+        if not (folder / RECORDING).exists():
+            raise RunError(status.stopped)
+        try:
+            if slam is not None:
+                say("finishing the map")
+                summary = _map(folder, live, slam, watch, identity, summary, began)
+        finally:
+            finish_folder(folder, summary, config.slam)
+    if status.stopped:
+        raise RunError(status.stopped)
+    return summary
+
+
+def _map(
+    folder: Path, live: LiveRun, slam: Slam, watch: Stopwatch, identity: Mapping[str, str],
+    account: dict[str, Any], began: tuple[float, float],
+) -> dict[str, Any]:  # fmt: skip
+    """Finish the graph, write all results, and return the summary."""
+    if slam.scan_stamps_ns and not live.has_odometry:
+        raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
+
+    def source() -> Iterator[Message]:
+        with open_log(folder / RECORDING) as recording:
+            yield from recording.messages(SLAM_TOPICS)
+
+    result = finish(slam, source, [], watch, lambda stage, done: None)
+    add_results(folder, result, identity, slam.config)
+    summary = summarise(result, "run.mcap", _timing(live, result, watch, began), slam.config)
+    lost = {**account["lost"], **summary["lost"]}
+    account = account | {"scans": summary["scans"]}
+    return summary | account | {"lost": dict(sorted(lost.items()))}
+
+
+def _timing(
+    live: LiveRun, result: Result, watch: Stopwatch, began: tuple[float, float]
+) -> dict[str, Any]:
+    stamps = result.trajectory.stamps_ns
+    wall = time.perf_counter() - began[0]
+    return {
+        "wall_s": round(wall, 3),
+        "cpu_s": round(time.process_time() - began[1], 3),
+        "realtime_factor": round(float(stamps[-1] - stamps[0]) * 1e-9 / wall, 2),
+        "match_us_median": round(time_matches(result), 1),
+        **_spread("step_ms", live.timed.milliseconds),
+        **_spread("latency_ms", live.latencies_ms),
+        **_spread("delay_ms", live.delays_ms),
+        "stages_s": {name: round(s, 3) for name, s in sorted(watch.seconds.items())},
+    }
+
+
+def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
+    """Median and 99th percentile; nothing of nothing."""
+    if not len(values):
+        return {}
+    p50, p99 = np.percentile(np.asarray(values), [50, 99])
+    return {f"{name}_p50": round(float(p50), 4), f"{name}_p99": round(float(p99), 4)}
+
+
+def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]) -> dict[str, Any]:
+    """What the summary says of devices and recording."""
+    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "log": "run.mcap",
+        "scans": live.intake.scans,
+        "lost": live.losses(),
+        "devices": live.devices(),
+        "recording": {
+            "messages": status.written, "queued_most": status.queued_most,
+            "slowest_sync_s": round(status.slowest_sync_s, 3), "stopped": status.stopped,
+        },
+        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "version": identity["version"],
+        "config_sha256": identity["config_sha256"],
+        "host": identity["host"],
+    }  # fmt: skip

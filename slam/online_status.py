@@ -1,0 +1,58 @@
+"""What an operator wants to know while the robot drives, and how it is put into one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+# Counters of the decoders that tell of activity rather than of loss.
+_NO_LOSS = (
+    "scans", "reports", "skipped_bytes", "clock_restarts", "distrusted_syncs",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How an online run stands."""
+
+    seconds: float  # since it began
+    links: Mapping[str, str]  # device to the kind of its last event; "waiting" before the first
+    scan_hz: float  # of scans that came in since the last status
+    age_s: float  # how old the newest message was when the pipeline was done with it
+    waiting: int  # messages recorded and not yet used
+    keyframes: int
+    t_pe: float  # at the last keyframe; nan for other methods
+    sigmas: tuple[float, ...]  # x, y (m), theta (rad) of the last match; empty if none
+    lost: Mapping[str, int]  # by cause
+    news: tuple[str, ...] = ()  # what has happened to the devices since the last status
+
+    def line(self) -> str:
+        """All of it on one line."""
+        words = [f"{self.seconds:.0f} s", f"{self.scan_hz:.1f} scans/s"]
+        words += [
+            f"{device} {kind}" for device, kind in sorted(self.links.items())
+            if kind not in ("connected", "resumed")
+        ]  # fmt: skip
+        words.append(f"age {1e3 * self.age_s:.0f} ms")
+        if self.waiting > 1:
+            words.append(f"{self.waiting} waiting")
+        words.append(f"{self.keyframes} keyframes")
+        if math.isfinite(self.t_pe):
+            words.append(f"T_PE {self.t_pe:.2f}")
+        if self.sigmas:
+            x, y, theta = self.sigmas
+            words.append(f"sigma {1e3 * x:.0f} mm {1e3 * y:.0f} mm {math.degrees(theta):.2f} deg")
+        total = sum(self.lost.values())
+        causes = ", ".join(f"{n} {cause}" for cause, n in self.lost.items())
+        words.append(f"lost {total} ({causes})" if total else "lost 0")
+        return ", ".join(words)
+
+
+def device_losses(device: str, counters: Mapping[str, int]) -> dict[str, int]:
+    """Pick what was lost from a decoder's counters, in words."""
+    return {
+        f"{device}: {name.removeprefix('lost_').replace('_', ' ')}": count
+        for name, count in counters.items()
+        if count and name not in _NO_LOSS
+    }
