@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from frontend.align_kernels import align
+from frontend.alternatives import find_pose
 from frontend.icp_kernels import (
     COST,
     FITTING,
@@ -41,6 +42,8 @@ class MatchConfig(BaseModel):
     final_scale: float = Field(0.04, gt=0, description="m, residual at which a pair weighs 1/4")
     coarse_beams: int = Field(60, ge=10, description="beams used before the last pass")
     iterations: int = Field(25, ge=1, description="at most, per pass")
+    point_gate: float = Field(0.5, gt=0, description="m, pairing distance of point_to_point")
+    ndt_cell: float = Field(1.0, gt=0, description="m, cell of ndt")
     tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
     min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
     good_quality: float = Field(
@@ -144,6 +147,8 @@ def match(
         return _refused(guess, prior, f"only {source.valid} usable beams")
     if stack is None:
         return _refused(guess, prior, "no reference has usable beams")
+    if config.method != "point_to_line":
+        return _alternative(references, stack, source, guess, config, prior)
     passes = config.passes_without_prior if prior is None else config.passes_with_prior
     result = _align(stack, source, guess, passes, config, prior)
     if prior is not None or result.quality >= config.good_quality:
@@ -159,6 +164,28 @@ def match(
         if again.quality > result.quality:
             return again
     return result
+
+
+def _alternative(
+    references: Sequence[Reference], stack: tuple[Any, ...], source: PreparedScan, guess: Pose2,
+    config: MatchConfig, prior: Prior | None,
+) -> MatchResult:  # fmt: skip
+    """The pose by another method, judged by the lines at that pose.
+
+    Their own closed-form covariances are wrong (point-to-point: Bonnabel 2014), so the
+    information is what the best of matches could have: an upper bound.
+    """
+    pose, last_step, iterations = find_pose(references, stack, source, _vector(guess), config)
+    if not np.isfinite(last_step) or not np.isfinite(pose).all():
+        return _refused(guess, prior, f"{config.method} found no pose")
+    found = Pose2(*pose)
+    judged = _align(stack, source, found, config.passes_with_prior[-1:], config, prior)
+    if last_step > SETTLED * config.tolerance:
+        reason = f"no convergence in {iterations} iterations"
+        return replace(
+            judged, target_T_source=found, iterations=iterations, converged=False, reason=reason
+        )
+    return replace(judged, target_T_source=found, iterations=iterations)
 
 
 def _align(

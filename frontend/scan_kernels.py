@@ -57,6 +57,17 @@ def _fit(sums, i, j):
 
 
 @njit(cache=True, nogil=True)
+def _normal(xx, yy, xy):
+    """A vector across the line whose scatter matrix is [[xx, xy], [xy, yy]], of any length."""
+    half = 0.5 * (xx - yy)
+    root = np.sqrt(half * half + xy * xy)
+    # Of the two rows of (scatter - larger eigenvalue), the longer one is the more exact.
+    if half >= 0.0:
+        return -xy, half + root
+    return root - half, -xy
+
+
+@njit(cache=True, nogil=True)
 def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines, windows):
     """Fit to every valid beam the longest straight window around it; fills lines and windows.
 
@@ -100,8 +111,9 @@ def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, l
             if b - a < 2:
                 continue
         mx, my, xx, yy, xy, _, along = _fit(sums, a, b)
-        angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)  # of the line
-        nx, ny = -np.sin(angle), np.cos(angle)
+        nx, ny = _normal(xx, yy, xy)
+        length = np.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / length, ny / length
         d = nx * mx + ny * my
         if d > 0.0:  # the normal points to the laser, which lies at the local origin
             nx, ny, d = -nx, -ny, -d
@@ -133,9 +145,8 @@ def _straight(sums, a, b, variance):
     third = (b - a + 1) // 3
     if third < 2:
         return True
-    angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
-    nx, ny = -np.sin(angle), np.cos(angle)
-    allowed = 9.0 * variance / third
+    nx, ny = _normal(xx, yy, xy)
+    allowed = 9.0 * variance / third * (nx * nx + ny * ny)
     for part in range(3):
         i = a + part * third if part < 2 else b + 1 - third
         dx = (sums[i + third, 0] - sums[i, 0]) / third - mx

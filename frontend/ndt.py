@@ -1,0 +1,140 @@
+"""Normal distributions transform (Biber and Strasser 2003): points against Gaussian cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+MIN_POINTS = 5  # a cell with fewer says nothing about its shape
+MIN_RATIO = 0.001  # smallest eigenvalue of a cell over its largest, as in the paper
+
+
+@njit(cache=True, nogil=True)
+def build_cells(points, cell):
+    """Gaussians of four grids of `cell` (m), shifted by half a cell against each other.
+
+    Args:
+        points: (n, 2) m.
+        cell: m.
+
+    Returns:
+        (cells, origin, shape): (4, rows * columns, 5) mean x, y and inverse covariance xx, xy,
+        yy (all 0 where a cell is empty), the first grid's corner (2,), and (rows, columns).
+    """
+    low_x, low_y = points[:, 0].min() - cell, points[:, 1].min() - cell
+    columns = int((points[:, 0].max() - low_x) / cell) + 2
+    rows = int((points[:, 1].max() - low_y) / cell) + 2
+    sums = np.zeros((4, rows * columns, 6))
+    for k in range(len(points)):
+        for grid in range(4):
+            x = (points[k, 0] - low_x) / cell + 0.5 * (grid % 2)
+            y = (points[k, 1] - low_y) / cell + 0.5 * (grid // 2)
+            at = int(y) * columns + int(x)
+            dx, dy = points[k, 0] - low_x, points[k, 1] - low_y
+            sums[grid, at, 0] += 1.0
+            sums[grid, at, 1] += dx
+            sums[grid, at, 2] += dy
+            sums[grid, at, 3] += dx * dx
+            sums[grid, at, 4] += dx * dy
+            sums[grid, at, 5] += dy * dy
+    cells = np.zeros((4, rows * columns, 5))
+    for grid in range(4):
+        for at in range(rows * columns):
+            m = sums[grid, at, 0]
+            if m < MIN_POINTS:
+                continue
+            mx, my = sums[grid, at, 1] / m, sums[grid, at, 2] / m
+            xx = sums[grid, at, 3] / m - mx * mx
+            xy = sums[grid, at, 4] / m - mx * my
+            yy = sums[grid, at, 5] / m - my * my
+            half = 0.5 * (xx + yy)
+            root = np.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+            # Raise the small eigenvalue: a straight wall would make the matrix singular.
+            lift = max(MIN_RATIO * (half + root) - (half - root), 0.0) + 1e-9
+            angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+            nx, ny = -np.sin(angle), np.cos(angle)
+            xx, xy, yy = xx + lift * nx * nx, xy + lift * nx * ny, yy + lift * ny * ny
+            det = xx * yy - xy * xy
+            cells[grid, at, 0], cells[grid, at, 1] = mx + low_x, my + low_y
+            cells[grid, at, 2], cells[grid, at, 3] = yy / det, -xy / det
+            cells[grid, at, 4] = xx / det
+    return cells, np.array([low_x, low_y]), (rows, columns)
+
+
+@njit(cache=True, nogil=True)
+def _derivatives(cells, origin, columns, rows, cell, source, pose, gradient, hessian):
+    """Fill gradient (3,) and Hessian (3, 3) of minus the score (Equations 8 to 12); the score."""
+    gradient[:] = 0.0
+    hessian[:] = 0.0
+    score = 0.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    jacobian = np.zeros((2, 3))
+    jacobian[0, 0] = jacobian[1, 1] = 1.0
+    for i in range(len(source)):
+        rx, ry = c * source[i, 0] - s * source[i, 1], s * source[i, 0] + c * source[i, 1]
+        px, py = rx + pose[0], ry + pose[1]
+        jacobian[0, 2], jacobian[1, 2] = -ry, rx
+        for grid in range(4):
+            x = (px - origin[0]) / cell + 0.5 * (grid % 2)
+            y = (py - origin[1]) / cell + 0.5 * (grid // 2)
+            if x < 0.0 or y < 0.0 or x >= columns or y >= rows:
+                continue
+            at = int(y) * columns + int(x)
+            if cells[grid, at, 2] == 0.0:
+                continue
+            qx, qy = px - cells[grid, at, 0], py - cells[grid, at, 1]
+            ax = cells[grid, at, 2] * qx + cells[grid, at, 3] * qy
+            ay = cells[grid, at, 3] * qx + cells[grid, at, 4] * qy
+            value = np.exp(-0.5 * (qx * ax + qy * ay))
+            score += value
+            for k in range(3):
+                slope = ax * jacobian[0, k] + ay * jacobian[1, k]
+                gradient[k] += value * slope
+                for m in range(3):
+                    other = ax * jacobian[0, m] + ay * jacobian[1, m]
+                    bx = cells[grid, at, 2] * jacobian[0, m] + cells[grid, at, 3] * jacobian[1, m]
+                    by = cells[grid, at, 3] * jacobian[0, m] + cells[grid, at, 4] * jacobian[1, m]
+                    curve = bx * jacobian[0, k] + by * jacobian[1, k] - slope * other
+                    if k == 2 and m == 2:
+                        curve -= ax * rx + ay * ry
+                    hessian[k, m] += value * curve
+    return score
+
+
+@njit(cache=True, nogil=True)
+def ndt(cells, origin, shape, cell, source, pose, iterations, tolerance):
+    """Newton's method on minus the score from `pose` (3,), overwritten; (last step, iterations).
+
+    The Hessian is lifted until it is positive definite, and a step that lowers the score is
+    halved, as the paper advises for Newton's method far from the minimum.
+    """
+    rows, columns = shape
+    gradient, hessian = np.zeros(3), np.zeros((3, 3))
+    trial = np.zeros(3)
+    spare_g, spare_h = np.zeros(3), np.zeros((3, 3))
+    size = np.inf
+    for iteration in range(iterations):
+        score = _derivatives(cells, origin, columns, rows, cell, source, pose, gradient, hessian)
+        if score < 1e-6:
+            return np.inf, iteration + 1
+        low = np.linalg.eigvalsh(hessian)[0]
+        lift = max(0.0, 1e-3 * abs(hessian[0, 0]) - low) + 1e-9
+        for k in range(3):
+            hessian[k, k] += lift
+        step = np.linalg.solve(hessian, -gradient)
+        length = np.sqrt(step[0] ** 2 + step[1] ** 2)
+        step *= min(1.0, 0.5 * cell / max(length, 1e-12), 0.2 / max(abs(step[2]), 1e-12))
+        for _ in range(6):
+            for k in range(3):
+                trial[k] = pose[k] + step[k]
+            after = _derivatives(
+                cells, origin, columns, rows, cell, source, trial, spare_g, spare_h
+            )
+            if after >= score:
+                break
+            step *= 0.5
+        pose[:] = trial
+        size = max(abs(step[0]) + abs(step[1]), 5.0 * abs(step[2]))
+        if size < tolerance:
+            return size, iteration + 1
+    return size, iterations

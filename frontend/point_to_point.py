@@ -1,0 +1,77 @@
+"""Point-to-point ICP, as the seed paper uses it (Besl and McKay 1992)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from frontend.icp_kernels import nearest_beam
+from frontend.scan_kernels import VALID
+
+
+@njit(cache=True, nogil=True)
+def point_to_point(
+    source_points,
+    source_flags,
+    points,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    gate,
+    iterations,
+    tolerance,
+):
+    """Move `pose` (3,) until nearest points agree best; returns (last step in m, iterations).
+
+    Every point of the source is paired with the nearest point of each reference within `gate`
+    (m); rotation and translation follow in closed form.  No weights and no second gate: what the
+    paper describes, with its pull towards zero motion where scans are discrete.
+    """
+    size = np.inf
+    for iteration in range(iterations):
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        count, sx, sy, tx, ty = 0, 0.0, 0.0, 0.0, 0.0
+        dot, cross = 0.0, 0.0
+        for ref in range(len(poses)):
+            cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
+            first, n = starts[ref], starts[ref + 1] - starts[ref]
+            for i in range(len(source_points)):
+                if not source_flags[i] & VALID:
+                    continue
+                # The point in the target frame, and in that of the reference.
+                px = c * source_points[i, 0] - s * source_points[i, 1] + pose[0]
+                py = s * source_points[i, 0] + c * source_points[i, 1] + pose[1]
+                dx, dy = px - poses[ref, 0], py - poses[ref, 1]
+                j, _ = nearest_beam(
+                    cr * dx + sr * dy,
+                    cr * dy - sr * dx,
+                    points,
+                    first,
+                    n,
+                    geometries,
+                    reach2,
+                    ref,
+                    gate * gate,
+                )
+                if j < 0:
+                    continue
+                qx = cr * points[first + j, 0] - sr * points[first + j, 1] + poses[ref, 0]
+                qy = sr * points[first + j, 0] + cr * points[first + j, 1] + poses[ref, 1]
+                count += 1
+                sx, sy, tx, ty = sx + px, sy + py, tx + qx, ty + qy
+                dot += px * qx + py * qy
+                cross += px * qy - py * qx
+        if count < 3:
+            return np.inf, iteration + 1
+        mx, my, ox, oy = sx / count, sy / count, tx / count, ty / count
+        turn = np.arctan2(cross - count * (mx * oy - my * ox), dot - count * (mx * ox + my * oy))
+        ct, st = np.cos(turn), np.sin(turn)
+        x = ct * (pose[0] - mx) - st * (pose[1] - my) + ox
+        y = st * (pose[0] - mx) + ct * (pose[1] - my) + oy
+        size = max(abs(x - pose[0]) + abs(y - pose[1]), 5.0 * abs(turn))
+        pose[0], pose[1], pose[2] = x, y, pose[2] + turn
+        if size < tolerance:
+            return size, iteration + 1
+    return size, iterations
