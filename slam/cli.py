@@ -178,11 +178,14 @@ def reoptimise(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
+    direct: Annotated[
+        bool, typer.Option(help="Leave devices and wires out, where there are no ptys.")
+    ] = False,
 ) -> None:
-    """Simulate the paper's test bed, map it, and compare SDP-PE with constant intervals."""
+    """Drive the paper's test bed on simulated devices; compare SDP-PE with constant intervals."""
     from slam.demo import run_demo
 
-    run_demo(out, _say)
+    run_demo(out, _say, direct)
 
 
 @app.command()

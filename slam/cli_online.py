@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
 _LOSS = 3  # exit code: finished, but data was lost
-_QUIET_S = 10.0  # s between progress lines where stderr is no terminal
+_QUIET_S = 5.0  # s between progress lines where stderr is no terminal
 
 
 def online(

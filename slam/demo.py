@@ -1,4 +1,4 @@
-"""`slam demo`: the paper's test bed, simulated, mapped and compared in one go."""
+"""`slam demo`: the paper's test bed, driven on simulated devices, mapped and compared in one go."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from rich.table import Table
 from drivers.simulators.drive import paper_drive
 from logs.mcap_log import LogWriter
 from slam.config import load_config
+from slam.errors import RunError
 from slam.replay import replay
 from slam.report import write_report
 from slam.run_directory import new_run
@@ -24,35 +25,62 @@ PAPER = ("keyframes.unit=scans", "keyframes.max_turn=3.2", "loops.enabled=false"
 SDP_PE = ("keyframes.method=sdp-pe", "keyframes.min_interval=15", "keyframes.max_interval=30")
 
 
-def run_demo(out: Path, say: Callable[[str], None]) -> None:
+def run_demo(out: Path, say: Callable[[str], None], direct: bool = False) -> None:
     """Make the log, a run per method and the report in `out`; print the comparison.
 
+    With `direct`, the log comes from the simulator itself, without devices and their wires.
+
     Raises:
-        RunError: `out` exists already or cannot be made.
+        RunError: `out` exists already or cannot be made, or the online command failed.
     """
     with new_run(out) as partial:
-        table = _compare(partial, say)
+        table = _compare(partial, say, direct)
     Console().print(table)
     say(f"map:    {out / 'sdp-pe' / 'map.png'}")
     Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
 
 
-def _compare(out: Path, say: Callable[[str], None]) -> Table:
+def _compare(out: Path, say: Callable[[str], None], direct: bool) -> Table:
     """Fill the folder with the log, a run per method and their report."""
-    log = out / "testbed.mcap"
-    say("driving 462 scans through the simulated test bed")
-    with LogWriter(log, {"world": "testbed", "reading": READING}, keep_partial=False) as writer:
-        for message in paper_drive(READING):
-            writer.write(message)
-    say("replaying with SDP-PE and with constant intervals (kernels compile the first time)")
+    truth = None if direct else out / "truth.tum"
+    log = _simulated(out, say) if direct else _recorded(out, say)
+    say("replaying the log with SDP-PE and with constant intervals")
     summaries = {"SDP-PE": replay(log, out / "sdp-pe", load_config(None, [*PAPER, *SDP_PE]))}
     for interval in CONSTANT:
         sets = [*PAPER, "keyframes.method=constant", f"keyframes.interval={interval}"]
         name = f"constant {interval}"
         summaries[name] = replay(log, out / f"constant-{interval}", load_config(None, sets))
+    if not direct:
+        _require_same(out / "online", out / "sdp-pe")
+        say("the graph of the online run and that of its replay are the same, bit for bit")
     runs = [out / name.lower().replace(" ", "-") for name in summaries]
-    reports = write_report(runs, None, out / "report.html")
+    reports = write_report(runs, truth, out / "report.html")
     return comparison(summaries, [report.figures for report in reports])
+
+
+def _recorded(out: Path, say: Callable[[str], None]) -> Path:
+    """Drive on simulated devices, watched by the online command; returns its log."""
+    from slam.demo_drive import drive_online  # needs pseudo-terminals
+
+    say("a simulated P3-DX and a simulated UTM-30LX wait on pseudo-terminals for `slam online`")
+    drive_online(out, load_config(None, [*PAPER, *SDP_PE]), say)
+    return out / "online" / "run.mcap"
+
+
+def _simulated(out: Path, say: Callable[[str], None]) -> Path:
+    """Write what the simulator says right into a log."""
+    log = out / "testbed.mcap"
+    say("driving 462 scans through the simulated test bed")
+    with LogWriter(log, {"world": "testbed", "reading": READING}, keep_partial=False) as writer:
+        for message in paper_drive(READING):
+            writer.write(message)
+    return log
+
+
+def _require_same(online: Path, replayed: Path) -> None:
+    for name in ("graph.g2o", "trajectory.tum"):
+        if (online / name).read_bytes() != (replayed / name).read_bytes():
+            raise RunError(f"{name} of the online run and of its replay differ: a defect of ours")
 
 
 def comparison(summaries: dict[str, dict[str, Any]], figures: list[dict[str, Any]]) -> Table:

@@ -22,6 +22,7 @@ from slam.replay import TimedStep
 from slam.robot_config import RobotConfig
 
 _LOOK_S = 0.1  # how soon a request to stop is noticed
+_DISK_S = 0.5  # s between two looks at whether recording has ended
 _NOTE_S = 5.0  # between two notes of the losses in the log
 
 
@@ -58,7 +59,7 @@ class LiveRun:
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
         self._age_s = 0.0
         self._noted: dict[str, int] = {}
-        self._noted_ns = self._told_ns = self._began_ns = 0
+        self._noted_ns = self._told_ns = self._began_ns = self._looked_ns = 0
         self._told_scans = 0
 
     def run(
@@ -106,13 +107,15 @@ class LiveRun:
         dead = [reader for reader in self.readers if not reader.running]
         if dead:
             raise RunError("the thread of a device has died; this is a defect of ours, see above")
+        now = self._clock()
+        if now - self._looked_ns >= _DISK_S * 1e9:
+            self._looked_ns, self.ended_by = now, self._recorder.status().stopped
         return bool(self.ended_by)
 
     def _tell_if_due(self, tell: Callable[[Status], None], period_s: float) -> None:
         now = self._clock()
         if now - self._told_ns < period_s * 1e9:
             return
-        self.ended_by = self._recorder.status().stopped
         tell(self._status(now))
         self._told_ns, self._told_scans = now, self.intake.scans
         if now - self._noted_ns >= _NOTE_S * 1e9:

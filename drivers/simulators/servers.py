@@ -226,6 +226,11 @@ class SimulatorServer:
         """Seconds of simulation."""
         return (time.monotonic() - self._began) * self._speed
 
+    @property
+    def began_ns(self) -> int:
+        """UTC of time zero, ns, by the clock that the drivers use."""
+        return time.time_ns() - time.monotonic_ns() + round(self._began * 1e9)
+
     def __enter__(self) -> SimulatorServer:
         self._began = time.monotonic()
         self._thread.start()
