@@ -34,7 +34,8 @@ class HokuyoDecoder:
         self.version: dict[str, str] = {}
         self.state: dict[str, str] = {}
         self.scans = 0
-        self.missing = 0  # scans that the sensor's clock says there were, but none arrived
+        self.missing = 0  # scans that the sensor's clock says there were, but nothing arrived
+        self.outage = 0  # likewise, over a new start of the clock: by the times of the scans
         self.lost: Counter[str] = Counter()  # replies that came but could not be used, by cause
         self.clock = DeviceClock(clock)
         self._reach_m = reach_m
@@ -42,16 +43,19 @@ class HokuyoDecoder:
         self._asked_ns: int | None = None  # when TM1 was sent
         self._last_stamp: int | None = None
         self._last_count: int | None = None
+        self._lost_before = 0  # replies counted in `lost` up to the last scan
 
     def counters(self) -> dict[str, int]:
         """What came in and what was lost, by cause."""
         return {
             "scans": self.scans,
             "missing_scans": self.missing,
+            "outage_scans": self.outage,
             "skipped_bytes": self._framer.skipped_bytes,
             "clock_restarts": self.clock.restarts,
             "distrusted_syncs": self.clock.distrusted_syncs,
-            **{f"lost_{cause}": count for cause, count in sorted(self.lost.items())},
+            # A copy, because the thread that reads the device may add a cause meanwhile.
+            **{f"lost_{cause}": count for cause, count in sorted(dict(self.lost).items())},
         }
 
     def decode(self, raw: RawBytes) -> Iterator[SensorMessage]:
@@ -130,7 +134,6 @@ class HokuyoDecoder:
         if zero_ns is None:
             self.lost["impossible_time"] += 1
             return
-        self._count_missing(raw, sensor)
         cluster = max(request.cluster, 1)
         # A cluster has no direction but its middle; its last one may be narrower than that.
         first = request.start + 0.5 * (cluster - 1)
@@ -138,6 +141,7 @@ class HokuyoDecoder:
         if self._last_stamp is not None and stamp <= self._last_stamp:
             stamp = self._last_stamp + 1000  # the clock has been set back; order matters more
             self.lost["stamp_order"] += 1
+        self._count_missing(raw, sensor, stamp)
         self._last_stamp = stamp
         self.scans += 1
         yield LaserScan(
@@ -150,10 +154,16 @@ class HokuyoDecoder:
             beam_period_s=cluster * sensor.step_s,
         )
 
-    def _count_missing(self, raw: RawScan, sensor: SensorParameters) -> None:
-        """Count the scans between this one and the last by the sensor's own clock."""
-        if self._last_count is not None and raw.request.streams:
-            passed_s = (raw.timestamp - self._last_count) % (1 << 24) * 1e-3
-            periods = round(passed_s / (sensor.sweep_s * (raw.request.skip + 1)))
-            self.missing += max(0, periods - 1)
+    def _count_missing(self, raw: RawScan, sensor: SensorParameters, stamp_ns: int) -> None:
+        """Count the scans between this one and the last that left no trace at all."""
+        unusable = self.lost.total() - self._lost_before
+        self._lost_before = self.lost.total()
+        if raw.request.streams:
+            period_s = sensor.sweep_s * (raw.request.skip + 1)
+            if self._last_count is not None:
+                passed_s = (raw.timestamp - self._last_count) % (1 << 24) * 1e-3
+                self.missing += max(0, round(passed_s / period_s) - 1 - unusable)
+            elif self._last_stamp is not None:
+                passed_s = (stamp_ns - self._last_stamp) * 1e-9
+                self.outage += max(0, round(passed_s / period_s) - 1 - unusable)
         self._last_count = raw.timestamp

@@ -220,7 +220,7 @@ def test_every_lost_scan_is_counted_with_its_cause():
     ]
     counters = decoder.counters()
     assert len(scans) == counters["scans"] == 6
-    assert counters["missing_scans"] == 4
+    assert counters["missing_scans"] == 1  # the one that left no trace
     assert counters["lost_damaged"] == 2
     assert counters["lost_status_0M"] == 1
 
@@ -263,8 +263,19 @@ def test_captured_sessions_decode_whole(capture):
         assert decoder.counters() == {
             "scans": 1,
             "missing_scans": 0,
+            "outage_scans": 0,
             "skipped_bytes": 0,
             "clock_restarts": 0,
             "distrusted_syncs": 0,
         }
         assert replace(decoder.parameters, model="").steps_per_turn in (1024, 1440)
+
+
+def test_scans_of_an_outage_are_counted_over_a_new_start_of_the_clock():
+    decoder = laser_with_parameters()
+    first = list(decoder.decode(rx(report(1000), 40 * MS, "laser")))
+    list(decoder.decode(RawBytes(900 * MS, "laser", "tx", b"TM0\n")))
+    second = list(decoder.decode(rx(report(0), 1040 * MS, "laser")))
+    assert len(first) == len(second) == 1
+    assert decoder.counters()["missing_scans"] == 0
+    assert decoder.counters()["outage_scans"] == 39
