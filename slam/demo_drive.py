@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from gtsam import Pose2
 
+from drivers.scip_scan import ScanRequest
 from drivers.simulators.drive import dead_reckoning
 from drivers.simulators.hokuyo_device import HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
@@ -53,6 +54,7 @@ class SimulatedRobot:
         sweeper = Sweeper(
             MODELS["utm-30lx"], bed.world, self.motion, base_T_laser=Pose2(), seed=seed
         )
+        sweeper.distances(ScanRequest("MD", 0, 1080), 0.0)  # compiles the ray casting
         self.laser = HokuyoDevice(sweeper)
         self.ports = [
             PtyEndpoint(Line(self.base), folder / "p3dx"),
