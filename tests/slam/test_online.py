@@ -1,0 +1,252 @@
+"""`slam online` on simulated devices behind pseudo-terminals, in real time."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from gtsam import Pose2
+
+from drivers.simulators.hokuyo_device import HokuyoDevice
+from drivers.simulators.hokuyo_models import MODELS
+from drivers.simulators.link import Line, WireFaults
+from drivers.simulators.motion import scenario_motion
+from drivers.simulators.pioneer_device import PioneerDevice
+from drivers.simulators.servers import PtyEndpoint, SimulatorServer
+from drivers.simulators.sweep import Sweeper
+from drivers.simulators.worlds import scenario
+from logs.mcap_log import open_log
+from logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.config import load_config
+from slam.errors import RunError
+from slam.offline import SlamError
+from slam.online import run_online
+from slam.online_warmup import warm_up
+from slam.replay import replay
+from slam.robot_config import LaserPort, MountConfig, RecordingConfig, RobotConfig, RobotPort
+from slam.toml_text import toml_text
+
+SAME = ("graph.g2o", "graph.times.csv", "trajectory.tum", "keyframes.tum", "odometry.tum",
+        "map.pgm")  # fmt: skip
+
+
+class Robot:
+    """Simulated devices, and what has to be written into robot.toml for them."""
+
+    def __init__(self, base, laser, folder):
+        self.base, self.laser = base, laser
+        self.config = RobotConfig(
+            robot=RobotPort(port=str(folder / "p3dx")),
+            laser=LaserPort(port=str(folder / "laser"), from_deg=-90, to_deg=90, cluster=4),
+            mount=MountConfig(x=0.16),
+            recording=RecordingConfig(reserve_mib=0),
+        )
+
+
+@pytest.fixture
+def simulated(tmp_path):
+    @contextmanager
+    def run(robot=None, laser=None, starts_s=2.0):
+        bed = scenario("testbed-180cm")
+        motion = scenario_motion(bed, starts_s=starts_s)
+        bed.world.cast(Pose2(), np.zeros(1), 30.0)  # compiles it
+        base = PioneerDevice(motion, world=bed.world)
+        head = HokuyoDevice(Sweeper(MODELS["utm-30lx"], bed.world, motion))
+        ports = [
+            PtyEndpoint(Line(base, robot), tmp_path / "p3dx"),
+            PtyEndpoint(Line(head, laser, serial=False), tmp_path / "laser"),
+        ]
+        with SimulatorServer(ports):
+            yield Robot(base, head, tmp_path)
+
+    return run
+
+
+def after(seconds):
+    """A `stop` that says so after a while."""
+    end = []
+
+    def stop():
+        end.append(time.monotonic())
+        return end[-1] - end[0] >= seconds
+
+    return stop
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    warm_up(load_config(None))
+
+
+def online_equals_replay(out, tmp_path):
+    replay(out / "run.mcap", tmp_path / "again", load_config(out / "slam.toml"))
+    for name in SAME:
+        assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
+
+
+FAULTS = [
+    (None, None),
+    (WireFaults(flip_rate=5e-5, delay_s=0.03, seed=1), WireFaults(flip_rate=1e-5, seed=2)),
+    (WireFaults(silences=((3.0, 4.3),)), WireFaults(unplugged=((4.0, 4.6),), loss_rate=1e-5)),
+]
+
+
+@pytest.mark.parametrize("faults", FAULTS, ids=["none", "damage", "outages"])
+def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
+    told = []
+    with simulated(*faults) as robot:
+        out = tmp_path / "run"
+        summary = run_online(robot.config, out, stop=after(5.0), tell=told.append, period_s=0.5)
+    online_equals_replay(out, tmp_path)
+    assert summary == json.loads((out / "summary.json").read_text())
+    assert summary["keyframes"] >= 3
+    assert summary["recording"]["stopped"] == ""
+    assert not robot.base.sending
+    assert robot.laser.state == "idle"
+    assert {c.id for c in robot.base.commands}.isdisjoint({4, 11, 21, 32})  # nothing that moves it
+    assert told[-1].keyframes > 0
+    assert "keyframes" in told[-1].line()
+    outages = sum(device["outages"] for device in summary["devices"].values())
+    assert outages == (2 if faults is FAULTS[2] else 0)
+    with open_log(out / "run.mcap") as log:
+        counts = log.counts()
+        events = " ".join(log.metadata()["devices"])
+    assert counts["/scan"] == summary["devices"]["laser"]["scans"]
+    assert min(counts[f"/raw/{d}/{way}"] for d in ("p3dx", "laser") for way in ("rx", "tx")) > 0
+    assert "laser connected" in events
+    assert "p3dx closed" in events
+    assert ("p3dx lost" in events) == (faults is FAULTS[2])
+
+
+def test_messages_are_recorded_before_they_are_used_and_behind_their_bytes(simulated, tmp_path):
+    with simulated() as robot:
+        run_online(robot.config, tmp_path / "run", stop=after(3.0), record_only=True)
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    with open_log(tmp_path / "run" / "run.mcap") as log:
+        received = list(log.receipts())
+    raw = {(t, m.device) for t, m in received if isinstance(m, RawBytes)}
+    scans = [(t, m) for t, m in received if isinstance(m, LaserScan)]
+    wheels = [(t, m) for t, m in received if isinstance(m, WheelOdometry)]
+    assert len(scans) == summary["scans"] > 40
+    assert all((t, "laser") in raw for t, _ in scans)
+    assert all((t, "p3dx") in raw for t, _ in wheels)
+    assert all(m.stamp_ns <= t for t, m in scans + wheels)
+    assert "keyframes" not in summary
+
+
+def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tmp_path):
+    with simulated() as robot:
+        port = robot.config.robot.model_copy(update={"port": str(tmp_path / "nothing")})
+        config = robot.config.model_copy(update={"robot": port})
+        told = []
+        with pytest.raises(SlamError, match="no usable odometry"):
+            run_online(config, tmp_path / "run", stop=after(2.5), tell=told.append, period_s=0.3)
+    assert told[-1].links == {"p3dx": "failed", "laser": "connected"}
+    assert "p3dx failed" in told[-1].line()
+    assert any("does not exist" in text for status in told for text in status.news)
+    with open_log(tmp_path / "run" / "run.mcap") as log:
+        assert log.counts()["/scan"] > 40
+        assert "/odom" not in log.counts()
+
+
+def test_a_disk_that_runs_full_ends_the_run_with_what_there_is(simulated, tmp_path):
+    with simulated() as robot:
+        full = RecordingConfig(reserve_mib=2**40)
+        config = robot.config.model_copy(update={"recording": full})
+        with pytest.raises(RunError, match="kept in reserve"):
+            run_online(config, tmp_path / "run", stop=after(20.0), record_only=True)
+    with open_log(tmp_path / "run" / "run.mcap") as log:
+        assert log.counts()
+
+
+def test_an_unfinished_recording_is_never_overwritten(tmp_path):
+    left = tmp_path / "run.recording"
+    left.mkdir()
+    (left / "recording.mcap.partial").write_bytes(b"precious")
+    config = RobotConfig(
+        robot=RobotPort(port="a"), laser=LaserPort(port="b"), mount=MountConfig(x=0)
+    )
+    with pytest.raises(RunError, match="slam recover"):
+        run_online(config, tmp_path / "run", stop=lambda: True)
+    assert (left / "recording.mcap.partial").read_bytes() == b"precious"
+    (tmp_path / "there").mkdir()
+    with pytest.raises(RunError, match="exists already"):
+        run_online(config, tmp_path / "there", stop=lambda: True)
+
+
+def command(*words, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "slam", *map(str, words)], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, **options,
+    )  # fmt: skip
+
+
+def finished(process):
+    out, talk = process.communicate(timeout=60)
+    assert "Traceback" not in talk
+    return process.returncode, out, talk
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_a_complete_run(simulated, tmp_path, number, code):
+    with simulated() as robot:
+        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        process = command("online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
+                          "--set", "loops.enabled=false")  # fmt: skip
+        wait_for(lambda: robot.laser.state == "stream" and robot.base.sending)
+        time.sleep(2.0)
+        process.send_signal(number)
+        assert finished(process)[0] == code
+        assert robot.laser.state == "idle"
+        assert not robot.base.connected
+    assert {p.name for p in (tmp_path / "run").iterdir()} >= {*SAME, "run.mcap", "summary.json"}
+    assert not (tmp_path / "run.recording").exists()
+    online_equals_replay(tmp_path / "run", tmp_path)
+
+
+def wait_for(condition, seconds=40.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_killed_run_leaves_a_recording_to_recover(simulated, tmp_path):
+    with simulated() as robot:
+        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        process = command("online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
+                          "--record-only")  # fmt: skip
+        wait_for(lambda: robot.laser.state == "stream" and robot.base.sending)
+        time.sleep(2.0)
+        process.kill()
+        process.communicate()
+    saved = tmp_path / "saved.mcap"
+    left = tmp_path / "run.recording" / "recording.mcap.partial"
+    recovering = command("recover", left, "--out", saved)
+    assert finished(recovering)[0] in (0, 3)
+    with open_log(saved) as log:
+        assert log.counts()["/scan"] > 20
+
+
+def test_the_command_says_what_is_wrong_in_one_line(tmp_path):
+    (tmp_path / "robot.toml").write_text("[robot]\nport='a'\nbuad=9600\n")
+    process = command("online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run")
+    code, _, talk = finished(process)
+    assert code == 1
+    assert "robot.baud" in talk.splitlines()[-1]
+    assert not (tmp_path / "run").exists()
+
+
+def test_probe_names_both_devices_and_a_missing_one(simulated, tmp_path):
+    with simulated() as robot:
+        ports = [robot.config.robot.port, robot.config.laser.port, tmp_path / "none"]
+        code, out, _ = finished(command("drivers", "probe", "--seconds", 0.5, *ports))
+    assert code == 1
+    assert "p3dx-sh" in out
+    assert "UTM-30LX" in out
+    assert "clock offset" in out
+    assert "does not exist" in out
