@@ -1,4 +1,4 @@
-"""The demo's drive: a simulated robot and laser on pseudo-terminals, and `slam online` on them."""
+"""A drive of a simulated robot and laser on pseudo-terminals, watched by `slam online`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,26 +35,47 @@ from slam.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
 from slam.toml_text import toml_text
 from slam.trajectory import Trajectory, write_tum
 
-# At 40 scans a second this is the paper's 1.9 cm from scan to scan.
-MOTION = MotionConfig(speed=0.76, acceleration=0.5, rest_s=0.5)
 _FAR_S = 1e9  # a start that is not yet decided
 _READY_S = 150.0  # kernels may have to be compiled first
-_MOST_S = 90.0  # after which the online command ends by itself, should we be gone
 _CLOSE_S = 60.0
 
 
-class SimulatedRobot:
-    """A P3-DX and a UTM-30LX that share the paper's test bed; it drives when it is told to."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Plan:
+    """Where to drive and how to look; all scans are asked for, 40 a second."""
 
-    def __init__(self, folder: Path, seed: int = 0) -> None:
-        bed = scenario("testbed", seed)
-        truth = drive(bed.path, MOTION)
-        wheels = dead_reckoning(truth, ODOMETRY_NOISE["optimistic"], seed)
+    world: str = "testbed"
+    motion: MotionConfig = field(default_factory=MotionConfig)
+    noise: str = "typical"
+    ahead_m: float = 0.16  # of the laser before the wheel axis
+    from_deg: float = -180.0
+    to_deg: float = 180.0
+    cluster: int = 1
+    seed: int = 0
+    most_s: float = 90.0  # after which the online command ends by itself, should we be gone
+
+
+# The paper's 181 beams at 1 degree and, at that speed, its 1.9 cm from scan to scan.
+PAPER = Plan(
+    motion=MotionConfig(speed=0.76, acceleration=0.5, rest_s=0.5),
+    noise="optimistic", ahead_m=0.0, from_deg=-90.0, to_deg=90.0, cluster=4,
+)  # fmt: skip
+
+
+class SimulatedRobot:
+    """A P3-DX and a UTM-30LX that share a world; it drives when it is told to."""
+
+    def __init__(self, folder: Path, plan: Plan) -> None:
+        self.plan, seed = plan, plan.seed
+        bed = scenario(plan.world, seed)
+        truth = drive(bed.path, plan.motion)
+        wheels = dead_reckoning(truth, ODOMETRY_NOISE[plan.noise], seed)
         self.motion = TrackMotion(truth, wheels, starts_s=_FAR_S)
         self.base = PioneerDevice(self.motion, world=bed.world)
         sweeper = Sweeper(
-            MODELS["utm-30lx"], bed.world, self.motion, base_T_laser=Pose2(), seed=seed
-        )
+            MODELS["utm-30lx"], bed.world, self.motion,
+            base_T_laser=Pose2(plan.ahead_m, 0.0, 0.0), seed=seed,
+        )  # fmt: skip
         sweeper.distances(ScanRequest("MD", 0, 1080), 0.0)  # compiles the ray casting
         self.laser = HokuyoDevice(sweeper)
         self.ports = [
@@ -67,12 +89,15 @@ class SimulatedRobot:
         return self.base.sending and self.laser.state == "stream"
 
     def config(self, settings: SlamConfig) -> RobotConfig:
-        """The robot.toml that fits: the paper's 181 beams at 1 degree, all scans."""
+        """The robot.toml that fits."""
         robot, laser = (port.name for port in self.ports)
+        plan = self.plan
         return RobotConfig(
             robot=RobotPort(port=robot),
-            laser=LaserPort(port=laser, from_deg=-90.0, to_deg=90.0, cluster=4),
-            mount=MountConfig(x=0.0),
+            laser=LaserPort(
+                port=laser, from_deg=plan.from_deg, to_deg=plan.to_deg, cluster=plan.cluster
+            ),
+            mount=MountConfig(x=plan.ahead_m),
             slam=settings,
         )
 
@@ -83,21 +108,27 @@ class SimulatedRobot:
         return Trajectory(stamps, self.motion.truth(seconds))
 
 
-def drive_online(folder: Path, settings: SlamConfig, say: Callable[[str], None]) -> None:
+def drive_online(
+    folder: Path, settings: SlamConfig, say: Callable[[str], None], plan: Plan = PAPER
+) -> None:
     """Drive once, watched by `slam online`; leaves `online`, `robot.toml` and `truth.tum`.
 
     Raises:
         RunError: the online command failed; the message ends with what it said.
     """
     with tempfile.TemporaryDirectory(prefix="slam-demo-") as ports:
-        robot = SimulatedRobot(Path(ports))
+        robot = SimulatedRobot(Path(ports), plan)
         config = folder / "robot.toml"
         config.write_text(toml_text(robot.config(settings).model_dump()), encoding="utf-8")
-        with SimulatorServer(robot.ports) as server, _online(config, folder, say) as process:
+        with (
+            SimulatorServer(robot.ports) as server,
+            _online(config, folder, say, plan.most_s) as process,
+        ):
             _wait(lambda: robot.watched, process, _READY_S)
             robot.motion.starts_s = server.now_s + 0.5
-            say("driving through the test bed, at 40 scans a second")
-            _wait(lambda: server.now_s > robot.motion.ends_s + 0.5, process, _MOST_S)
+            duration_s = robot.motion.ends_s - server.now_s
+            say(f"driving through the {plan.world} for {duration_s:.0f} s, at 40 scans a second")
+            _wait(lambda: server.now_s > robot.motion.ends_s + 0.5, process, plan.most_s)
             process.stop()
             began_ns = server.began_ns
         write_tum(folder / "truth.tum", robot.true_path(began_ns))
@@ -154,10 +185,12 @@ class _Process:
 
 
 @contextmanager
-def _online(config: Path, folder: Path, say: Callable[[str], None]) -> Iterator[_Process]:
+def _online(
+    config: Path, folder: Path, say: Callable[[str], None], most_s: float
+) -> Iterator[_Process]:
     process = _Process(
         [sys.executable, "-m", "slam", "online", "--config", str(config),
-         "--out", str(folder / "online"), "--seconds", str(_MOST_S)],
+         "--out", str(folder / "online"), "--seconds", str(most_s)],
         say,
     )  # fmt: skip
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from array import array
 from collections import deque
 from collections.abc import Callable
@@ -51,6 +52,7 @@ class LiveRun:
         self.timed = TimedStep()
         self.latencies_ms = array("d")  # from a scan's last byte until `step` is done with it
         self.delays_ms = array("d")  # likewise, until it is used: it waits for odometry after it
+        self.cpu_share = 0.0  # of one core, while the devices were read
         self.has_odometry = False
         self.ended_by = ""  # why the run ended by itself
         self._recorder, self._clock, self._mount = recorder, clock, config.mount
@@ -71,6 +73,7 @@ class LiveRun:
             RunError: a device's thread has died.
         """
         now = self._began_ns = self._told_ns = self._clock()
+        cpu_s = time.process_time()
         self.intake(Received(now, self._mount.message(now)))
         for reader in self.readers:
             reader.start()
@@ -81,6 +84,7 @@ class LiveRun:
         finally:
             for reader in self.readers:
                 reader.stop()
+        self.cpu_share = (time.process_time() - cpu_s) / ((self._clock() - now) * 1e-9)
         while (received := self.intake.get(0.0)) is not None:
             self._use(received)
             self._tell_if_due(tell, period_s)

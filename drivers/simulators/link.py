@@ -130,6 +130,8 @@ class Line:
             self._put(self.device.advance(self._filled_s), self._filled_s, baud)
 
     def _put(self, data: bytes, now_s: float, baud: int) -> None:
+        if not self.plugged(now_s):
+            self.forget()  # what was on its way is lost with the plug
         if not data:
             return
         if self._dead(now_s):

@@ -1,10 +1,11 @@
 import math
 import tomllib
+from pathlib import Path
 
 import pytest
 
 from drivers.pioneer_decoder import MODELS
-from slam.config import ConfigError
+from slam.config import ConfigError, known_keys
 from slam.robot_config import RobotConfig, load_robot
 from slam.toml_text import toml_text
 
@@ -79,3 +80,9 @@ def test_a_config_written_down_reads_as_it_was(load):
     again = RobotConfig.model_validate(tomllib.loads(toml_text(config.model_dump())))
     assert again == config
     assert again.laser.reach_m == math.inf
+
+
+def test_the_reference_names_every_setting():
+    page = (Path(__file__).parents[2] / "docs" / "online.md").read_text()
+    settings = [key for key in known_keys(RobotConfig) if "." in key and "slam." not in key]
+    assert [key for key in settings if f"`{key}`" not in page] == []
