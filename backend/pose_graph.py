@@ -8,35 +8,11 @@ import gtsam
 import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
+from backend.batch import FactorMaker, GraphConfig, optimise, values_of
 from backend.edges import Edge, GraphError, Matrix, relative_covariance
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
-
-
-class GraphConfig(BaseModel):
-    """The back end."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    anchor_sigma_trans: float = Field(1e-3, gt=0, description="m, prior on the first pose")
-    anchor_sigma_rot: float = Field(1e-3, gt=0, description="rad, prior on the first pose")
-    odometry_kernel: float = Field(
-        1.0, gt=0, description="sigmas at which an odometry factor starts to weigh less (Cauchy)"
-    )
-    loop_kernel: float = Field(
-        1.0, gt=0, description="sigmas at which a loop factor starts to weigh less (Cauchy)"
-    )
-    icp_kernel: float = Field(3.0, gt=0, description="the same for matches of neighbours (Huber)")
-    match_sigma_trans: float = Field(
-        0.008, ge=0, description="m, added to every match: what real places do to its model"
-    )
-    match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
-    relinearise_threshold: float = Field(0.05, gt=0, description="m or rad, ISAM2")
-    relinearise_skip: int = Field(1, ge=1, description="updates between relinearisations, ISAM2")
-    gnc: bool = Field(True, description="graduated non-convexity over the loops in the batch")
 
 
 class PoseGraph:
@@ -45,16 +21,15 @@ class PoseGraph:
     def __init__(self, map_T_first: Pose2, config: GraphConfig) -> None:
         self.config = config
         self.edges: list[Edge] = []
-        self.loop_weights: dict[int, float] = {}  # of the last GNC run: index into edges
+        self.loop_weights: dict[int, float] = {}  # of the last batch: index into edges
+        self._maker = FactorMaker(config)
+        self._first = map_T_first
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(config.relinearise_threshold)
         parameters.relinearizeSkip = config.relinearise_skip
         self._isam = gtsam.ISAM2(parameters)
-        self._first = map_T_first
-        sigmas = [config.anchor_sigma_trans, config.anchor_sigma_trans, config.anchor_sigma_rot]
-        self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        graph.add(gtsam.PriorFactorPose2(X(0), map_T_first, self._anchor))
+        graph.add(self._maker.anchor(map_T_first))
         values.insert(X(0), map_T_first)
         self._isam.update(graph, values)
         self._poses = np.array([[map_T_first.x(), map_T_first.y(), map_T_first.theta()]])
@@ -77,10 +52,10 @@ class PoseGraph:
 
         Args:
             guess: map_T_new, where the optimiser starts.
-            edges: at least one, each ending (j) at the new keyframe.
+            edges: at least one, each ending (j) at the new keyframe; together they see all axes.
 
         Raises:
-            GraphError: an edge is missing or points elsewhere.
+            GraphError: an edge is missing, points elsewhere, or an axis is tied by none.
         """
         new = self._count
         if not edges:
@@ -88,6 +63,9 @@ class PoseGraph:
         for edge in edges:
             if edge.j != new or not 0 <= edge.i < new:
                 raise GraphError(f"edge {edge.i}-{edge.j} does not tie keyframe {new}")
+        total = sum((self._maker.weight(edge) for edge in edges), np.zeros((3, 3)))
+        if np.linalg.eigvalsh(total)[0] < 1e-6:
+            raise GraphError(f"keyframe {new} is loose: its edges leave an axis open")
         values = gtsam.Values()
         values.insert(X(new), guess)
         self._grow()
@@ -98,7 +76,11 @@ class PoseGraph:
         return new
 
     def add_edges(self, edges: Sequence[Edge]) -> None:
-        """Add edges between existing keyframes and update every pose."""
+        """Add edges between existing keyframes and update every pose.
+
+        Raises:
+            GraphError: an edge names a keyframe that does not exist.
+        """
         for edge in edges:
             if not (0 <= edge.i < self._count and 0 <= edge.j < self._count and edge.i != edge.j):
                 raise GraphError(f"edge {edge.i}-{edge.j}: no such pair of keyframes")
@@ -122,6 +104,10 @@ class PoseGraph:
             raise GraphError(f"{edge.kind} edge {edge.i}-{edge.j} is not in the graph")
         del self.edges[index]
 
+    def weight(self, edge: Edge) -> Matrix:
+        """(3, 3) information with which an edge is optimised."""
+        return self._maker.weight(edge)
+
     def marginal(self, k: int) -> Matrix:
         """(3, 3) covariance of map_T_k in its own frame."""
         covariance: Matrix = self._isam.marginalCovariance(X(k))
@@ -129,7 +115,8 @@ class PoseGraph:
 
     def marginals(self) -> Matrix:
         """(n, 3, 3) covariance of every map_T_k in its own frame, from the batch graph."""
-        marginals = gtsam.Marginals(self._graph(self.edges, robust=True), self._values())
+        graph = self._maker.graph(self._first, self.edges, robust=True)
+        marginals = gtsam.Marginals(graph, values_of(self.poses))
         return np.array([marginals.marginalCovariance(X(k)) for k in range(self._count)])
 
     def relative(self, i: int, j: int) -> tuple[Pose2, Matrix]:
@@ -142,92 +129,20 @@ class PoseGraph:
     def optimise(self) -> Matrix:
         """Optimise everything in one batch from the current estimates; (n, 3) poses.
 
-        Loops are weighed by graduated non-convexity (Yang et al. 2020) where configured: it
-        recovers from false loops that a robust kernel started at the wrong place does not.
-        Loops that end with less than half their weight are left out of the last step.
+        Raises:
+            GraphError: the optimiser gave up.
         """
-        values = self._values()
-        loops = [k for k, edge in enumerate(self.edges) if edge.kind == "loop"]
-        self.loop_weights = dict.fromkeys(loops, 1.0)
-        if self.config.gnc and loops:
-            values, weights = self._optimise_gnc(values, loops)
-            self.loop_weights = {loop: float(weights[loop + 1]) for loop in loops}
-        believed = [e for k, e in enumerate(self.edges) if self.loop_weights.get(k, 1.0) >= 0.5]
-        graph = self._graph(believed, robust=True)
-        values = gtsam.LevenbergMarquardtOptimizer(graph, values, self._lm()).optimize()
-        self._refresh(values)
+        result = optimise(self.poses, self.edges, self.config)
+        self.loop_weights = result.loop_weights
+        self._poses[: self._count] = result.poses
         return self.poses.copy()
-
-    def _optimise_gnc(
-        self, values: gtsam.Values, loops: list[int]
-    ) -> tuple[gtsam.Values, NDArray[np.float64]]:
-        parameters = gtsam.GncLMParams(self._lm())
-        parameters.setLossType(gtsam.GncLossType.TLS)
-        suspects = set(loops)
-        # Factor 0 is the prior; factor k + 1 is edge k.
-        inliers = [0] + [k + 1 for k in range(len(self.edges)) if k not in suspects]
-        parameters.setKnownInliers(inliers)
-        optimiser = gtsam.GncLMOptimizer(self._graph(self.edges, robust=False), values, parameters)
-        return optimiser.optimize(), optimiser.getWeights()
-
-    @staticmethod
-    def _lm() -> gtsam.LevenbergMarquardtParams:
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(50)
-        parameters.setRelativeErrorTol(1e-6)
-        return parameters
-
-    def _noise(self, edge: Edge, robust: bool) -> gtsam.noiseModel.Base:
-        gaussian = gtsam.noiseModel.Gaussian.Information(self.weight(edge))
-        if not robust:
-            return gaussian
-        kernel: gtsam.noiseModel.mEstimator.Base
-        estimators = gtsam.noiseModel.mEstimator
-        if edge.kind == "icp":
-            kernel = estimators.Huber.Create(self.config.icp_kernel)
-        elif edge.kind == "odometry":
-            kernel = estimators.Cauchy.Create(self.config.odometry_kernel)
-        else:
-            kernel = estimators.Cauchy.Create(self.config.loop_kernel)
-        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
-
-    def weight(self, edge: Edge) -> Matrix:
-        """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
-        if edge.kind == "odometry":
-            return edge.information
-        sigma = np.array([self.config.match_sigma_trans] * 2 + [self.config.match_sigma_rot])
-        # (C + S^2)^-1 = (I + H S^2)^-1 H, written symmetrically; H may be blind on an axis.
-        scaled = edge.information * np.outer(sigma, sigma)
-        values, vectors = np.linalg.eigh(scaled)
-        shrunk = (vectors * (values / (1.0 + values))) @ vectors.T
-        if not (sigma > 0).all():
-            return edge.information
-        weight: Matrix = shrunk / np.outer(sigma, sigma)
-        return 0.5 * (weight + weight.T)
-
-    def _factor(self, edge: Edge, robust: bool) -> gtsam.BetweenFactorPose2:
-        noise = self._noise(edge, robust)
-        return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
-
-    def _graph(self, edges: Sequence[Edge], robust: bool) -> gtsam.NonlinearFactorGraph:
-        graph = gtsam.NonlinearFactorGraph()
-        graph.add(gtsam.PriorFactorPose2(X(0), self._first, self._anchor))
-        for edge in edges:
-            graph.add(self._factor(edge, robust))
-        return graph
 
     def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> None:
         graph = gtsam.NonlinearFactorGraph()
         for edge in edges:
-            graph.add(self._factor(edge, robust=True))
+            graph.add(self._maker.between(edge, robust=True))
         self._isam.update(graph, values)
         self.edges += edges
-
-    def _values(self) -> gtsam.Values:
-        values = gtsam.Values()
-        for k in range(self._count):
-            values.insert(X(k), Pose2(*self._poses[k]))
-        return values
 
     def _refresh(self, values: gtsam.Values) -> None:
         self._poses[: self._count] = gtsam.utilities.extractPose2(values)

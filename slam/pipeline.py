@@ -261,7 +261,9 @@ class Slam:
         """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
         information = np.linalg.inv(self._odometry_covariance(sighting))
         note = tracked.note
-        if not tracked.match_trusted:  # nothing vouches for the odometry: say that little is known
+        blind = tracked.result.weak_axis is not None  # the match alone would tie nothing there
+        if not (tracked.match_trusted and tracked.odometry_trusted):
+            # Nothing vouches for the odometry, or something speaks against it: it says little.
             information = information / self.config.lost_inflation**2
             note = f"lost: {note}" if tracked.lost else note
         odometry = Edge("odometry", new - 1, new, moved, information)
@@ -269,7 +271,7 @@ class Slam:
         matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
         edges = []
         for edge, used in (
-            (odometry, tracked.odometry_trusted or tracked.lost),
+            (odometry, tracked.odometry_trusted or tracked.lost or blind),
             (matched, tracked.match_trusted),
         ):
             if used:

@@ -16,6 +16,9 @@ from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import PreparedScan
 
 
+DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
+
+
 class TrackingConfig(BaseModel):
     """When a match of neighbouring keyframes is believed."""
 
@@ -109,6 +112,11 @@ def track(
     if _quality(best) < config.min_quality:
         note = f"match refused: {best.reason or 'too few beams explained'}"
         return Tracked(best, plausible, False, note)
+    # An axis that the scans do not see must not keep the place of whatever start was the best.
+    doubted = Prior(prior.target_T_source, prior.covariance * DOUBT**2)
+    held = match(references, source, best.target_T_source, matcher, doubted)
+    if held.quality * config.margin >= best.quality:
+        best = held
     distance = disagreement(best, prior)
     if plausible and distance < limit:
         return Tracked(best, True, True, "")

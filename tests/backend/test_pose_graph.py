@@ -130,7 +130,7 @@ def test_neighbours_are_known_better_than_their_places():
 
 
 @pytest.mark.parametrize("wrong", [(3.0, 1.0, 0.5), (0.0, 4.0, 0.0), (1.0, 0.0, 2.0)])
-def test_gnc_leaves_out_a_false_loop_and_keeps_the_true_ones(wrong):
+def test_the_batch_leaves_out_a_false_loop_and_keeps_the_true_ones(wrong):
     truth = ring()
     n = len(truth)
     true_loops = [edge("loop", 0, n - 1, truth), edge("loop", 1, n - 2, truth)]
@@ -148,7 +148,7 @@ def test_gnc_leaves_out_a_false_loop_and_keeps_the_true_ones(wrong):
 
 def test_a_dropped_edge_has_no_more_say():
     truth = ring()
-    config = PLAIN.model_copy(update={"gnc": False})
+    config = PLAIN.model_copy(update={"reject_loops": False})
     graph, clean = drifting_ring(truth, config=config), drifting_ring(truth, config=config)
     false_loop = edge("loop", 0, len(truth) // 2, truth, (2.0, 1.0, 0.3))
     graph.add_edges([false_loop])

@@ -27,4 +27,4 @@ def test_limits_and_choices_are_told():
     assert '`"sdp-pe"`, `"constant"`' in rows["method"] or '`"point_to_line"`' in rows["method"]
     assert "number >= 0, <= 1" in rows["good_explained"]
     assert "4 numbers" in rows["weights"]
-    assert "`true`, `false`" in rows["gnc"]
+    assert "`true`, `false`" in rows["reject_loops"]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 
-from backend.edges import GraphError
 from drivers.simulators.drive import simulate
 from drivers.simulators.world import World
 from drivers.simulators.worlds import scenario
@@ -125,14 +124,13 @@ def run_in(sense):
     return made
 
 
-UNTIED = pytest.mark.xfail(
-    raises=(RuntimeError, GraphError), strict=True,
-    reason="odometry refused and a match blind along the walls: nothing ties the keyframe",
+FOOLED = pytest.mark.xfail(
+    raises=AssertionError, strict=True,
+    reason="three people who are elsewhere in every scan feign motion along plain walls",
 )  # fmt: skip
-EVERY_PLACE = [pytest.param(n, marks=UNTIED) if n == "walkers" else n for n in PLACES]
 
 
-@pytest.mark.parametrize("name", EVERY_PLACE)
+@pytest.mark.parametrize("name", PLACES)
 def test_keyframes_neither_flood_nor_starve(run_in, name):
     """Bounds on distance, turn and time between keyframes, and on how many there are."""
     slam, config = run_in(name), DEFAULTS.keyframes
@@ -156,7 +154,9 @@ def test_keyframes_neither_flood_nor_starve(run_in, name):
         assert late <= config.max_time + 0.2 or still
 
 
-@pytest.mark.parametrize("name", EVERY_PLACE)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=FOOLED) if n == "walkers" else n for n in PLACES]
+)
 def test_whatever_is_seen_the_pose_stays_near(run_in, name):
     """The wheels are perfect here: a match must not be worse than what it knows."""
     assert errors(run_in(name)).max() < 0.15

@@ -1,0 +1,220 @@
+"""Batch optimisation of a whole graph, robust against false loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam import Pose2
+from gtsam.symbol_shorthand import X
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from backend.edges import Edge, GraphError, Matrix
+
+SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
+OUTLIER = 0.5  # a loop of less weight is left out
+
+
+class GraphConfig(BaseModel):
+    """The back end."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    anchor_sigma_trans: float = Field(1e-3, gt=0, description="m, prior on the first pose")
+    anchor_sigma_rot: float = Field(1e-3, gt=0, description="rad, prior on the first pose")
+    odometry_kernel: float = Field(
+        1.0, gt=0, description="sigmas at which an odometry factor starts to weigh less (Cauchy)"
+    )
+    loop_kernel: float = Field(
+        1.0, gt=0, description="sigmas at which a loop factor starts to weigh less (Cauchy)"
+    )
+    icp_kernel: float = Field(3.0, gt=0, description="the same for matches of neighbours (Huber)")
+    match_sigma_trans: float = Field(
+        0.008, ge=0, description="m, added to every match: what real places do to its model"
+    )
+    match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
+    relinearise_threshold: float = Field(0.05, gt=0, description="m or rad, ISAM2")
+    relinearise_skip: int = Field(1, ge=1, description="updates between relinearisations, ISAM2")
+    reject_loops: bool = Field(
+        True, description="let the batch leave out loops that the whole graph contradicts"
+    )
+    robust: bool = Field(True, description="robust kernels; without them plain least squares")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BatchResult:
+    """Optimised poses, and what became of the loops."""
+
+    poses: Matrix  # (n, 3) [x, y, theta] of map_T_k
+    loop_weights: dict[int, float]  # index into the edges -> weight, 0 to 1
+    error_before: float  # half the weighted squared error of the believed edges, robust
+    error_after: float
+
+
+class FactorMaker:
+    """Makes GTSAM factors of edges, the only place that knows noise models and kernels."""
+
+    def __init__(self, config: GraphConfig) -> None:
+        self.config = config
+        sigmas = [config.anchor_sigma_trans, config.anchor_sigma_trans, config.anchor_sigma_rot]
+        self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+
+    def anchor(self, map_T_first: Pose2) -> gtsam.PriorFactorPose2:
+        """The prior that holds keyframe 0."""
+        return gtsam.PriorFactorPose2(X(0), map_T_first, self._anchor)
+
+    def between(
+        self,
+        edge: Edge,
+        robust: bool,
+        kernel: gtsam.noiseModel.mEstimator.Base | None = None,
+    ) -> gtsam.BetweenFactorPose2:
+        """The factor of an edge, under `kernel` or, if robust, the one of its kind."""
+        if kernel is not None:
+            gaussian = self._gaussian(edge)
+            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Robust.Create(kernel, gaussian)
+        else:
+            noise = self._noise(edge, robust and self.config.robust)
+        return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
+
+    def weight(self, edge: Edge) -> Matrix:
+        """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
+        sigma = np.array([self.config.match_sigma_trans] * 2 + [self.config.match_sigma_rot])
+        if edge.kind == "odometry" or not (sigma > 0).all():
+            return edge.information
+        # (C + S^2)^-1 = (1 + H S^2)^-1 H, in the units of S; H may be blind on an axis.
+        values, vectors = np.linalg.eigh(edge.information * np.outer(sigma, sigma))
+        values = np.maximum(values, 0.0)
+        shrunk = (vectors * (values / (1.0 + values))) @ vectors.T
+        weight: Matrix = shrunk / np.outer(sigma, sigma)
+        return 0.5 * (weight + weight.T)
+
+    def _gaussian(self, edge: Edge) -> gtsam.noiseModel.Gaussian:
+        weight = self.weight(edge)
+        # GTSAM takes the square root by Cholesky, which an axis without information would break:
+        # it gets a sigma of 30,000 times the best-known one.
+        ridge = 1e-9 * float(np.abs(np.diag(weight)).max())
+        return gtsam.noiseModel.Gaussian.Information(weight + ridge * np.eye(3))
+
+    def _noise(self, edge: Edge, robust: bool) -> gtsam.noiseModel.Base:
+        gaussian = self._gaussian(edge)
+        if not robust:
+            return gaussian
+        estimators = gtsam.noiseModel.mEstimator
+        kernel: gtsam.noiseModel.mEstimator.Base
+        if edge.kind == "icp":
+            kernel = estimators.Huber.Create(self.config.icp_kernel)
+        elif edge.kind == "odometry":
+            kernel = estimators.Cauchy.Create(self.config.odometry_kernel)
+        else:
+            kernel = estimators.Cauchy.Create(self.config.loop_kernel)
+        return gtsam.noiseModel.Robust.Create(kernel, gaussian)
+
+    def graph(
+        self, map_T_first: Pose2, edges: Sequence[Edge], robust: bool
+    ) -> gtsam.NonlinearFactorGraph:
+        """Prior and all edges."""
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(self.anchor(map_T_first))
+        for edge in edges:
+            graph.add(self.between(edge, robust))
+        return graph
+
+
+def values_of(poses: Matrix) -> gtsam.Values:
+    """GTSAM values of poses (n, 3)."""
+    values = gtsam.Values()
+    for k, pose in enumerate(poses):
+        values.insert(X(k), Pose2(*pose))
+    return values
+
+
+def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> BatchResult:
+    """Optimise everything from `poses` (n, 3); keyframe 0 is held where it is.
+
+    Where the graph that believes all loops contradicts some, two optimisations that can let go
+    of loops are tried (dynamic covariance scaling, Agarwal et al. 2013; Geman-McClure); neither
+    wins always, so the one with the smaller truncated cost is taken.  Loops that contradict it
+    are left out, and the rest decides.
+
+    Raises:
+        GraphError: the optimiser gave up, which a graph with near-singular edges can cause.
+    """
+    maker = FactorMaker(config)
+    loops = [k for k, edge in enumerate(edges) if edge.kind == "loop"]
+    try:
+        settled = _descend(poses, edges, maker, None)
+        weights = dict.fromkeys(loops, 1.0)
+        if config.reject_loops and (chi_squares(settled, edges, maker)[loops] > SUSPICIOUS).any():
+            settled = min(
+                (_descend(poses, edges, maker, kernel) for kernel in _letting_go()),
+                key=lambda found: truncated_cost(found, edges, maker),
+            )
+            settled = _descend(settled, _believed(settled, edges, maker), maker, None)
+            chi = chi_squares(settled, edges, maker)
+            weights = {k: float(chi[k] <= SUSPICIOUS) for k in loops}
+        believed = [e for k, e in enumerate(edges) if weights.get(k, 1.0) >= OUTLIER]
+        graph = maker.graph(Pose2(*poses[0]), believed, robust=True)
+        before = float(graph.error(values_of(poses)))
+        values = gtsam.LevenbergMarquardtOptimizer(graph, values_of(settled), _lm()).optimize()
+        after = float(graph.error(values))
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else "no reason given"
+        raise GraphError(f"the graph cannot be optimised: {reason}") from error
+    result = gtsam.utilities.extractPose2(values)
+    if not np.isfinite(result).all():
+        raise GraphError("the graph cannot be optimised: poses became infinite")
+    return BatchResult(result, weights, before, after)
+
+
+def chi_squares(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> NDArray[np.float64]:
+    """Squared Mahalanobis norm of every edge's residual at poses (n, 3), (edges,)."""
+    squares = np.empty(len(edges))
+    for k, edge in enumerate(edges):
+        error = edge.residual(poses)
+        squares[k] = error @ maker.weight(edge) @ error
+    return squares
+
+
+def truncated_cost(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> float:
+    """Sum over all edges of the squared residual, a loop counting no more than a false one may."""
+    squares = chi_squares(poses, edges, maker)
+    is_loop = np.array([edge.kind == "loop" for edge in edges])
+    return float(np.where(is_loop, np.minimum(squares, SUSPICIOUS), squares).sum())
+
+
+def _letting_go() -> list[gtsam.noiseModel.mEstimator.Base]:
+    """Kernels under which a contradicted loop loses its pull; scales in sigmas."""
+    estimators = gtsam.noiseModel.mEstimator
+    return [estimators.DCS.Create(1.0), estimators.GemanMcClure.Create(3.0)]
+
+
+def _believed(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> list[Edge]:
+    chi = chi_squares(poses, edges, maker)
+    return [e for e, c in zip(edges, chi, strict=True) if e.kind != "loop" or c <= SUSPICIOUS]
+
+
+def _descend(
+    poses: Matrix,
+    edges: Sequence[Edge],
+    maker: FactorMaker,
+    loop_kernel: gtsam.noiseModel.mEstimator.Base | None,
+) -> Matrix:
+    """Levenberg-Marquardt from `poses`; loops under `loop_kernel`, or the configured one."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(maker.anchor(Pose2(*poses[0])))
+    for edge in edges:
+        graph.add(maker.between(edge, True, loop_kernel if edge.kind == "loop" else None))
+    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values_of(poses), _lm())
+    found: Matrix = gtsam.utilities.extractPose2(optimiser.optimize())
+    return found
+
+
+def _lm() -> gtsam.LevenbergMarquardtParams:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(50)
+    parameters.setRelativeErrorTol(1e-6)
+    return parameters
