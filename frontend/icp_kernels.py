@@ -52,11 +52,13 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
 
     Walks outwards in bearing from the beam that looks at (px, py); a point seen k beams away is
     at least r sin((k - 1) step) far, one beam of slack for rounding, which ends the walk.
+    The walk goes round the whole circle, also where it has no beams, for what lies outside the
+    field of view may be nearest to either end of it.
     `reach2` (1 or references, m) holds sin^2 of those angles up to 90 degrees.  (-1, gate2) if
     none is near; beams without a point hold nan and are never near.  Rows are indexed here, not
     sliced by the caller: a slice an evaluation costs more than the whole search.
     """
-    angle_min, step, full = geometries[ref, 0], geometries[ref, 1], geometries[ref, 4] > 0.5
+    angle_min, step, whole = geometries[ref, 0], geometries[ref, 1], int(geometries[ref, 4])
     vx, vy = px - geometries[ref, 2], py - geometries[ref, 3]
     r2 = vx * vx + vy * vy
     turn = bearing_of(vy, vx) - angle_min
@@ -65,30 +67,31 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     if turn >= 2.0 * np.pi:
         turn -= 2.0 * np.pi
     centre = int(turn / step + 0.5)
-    if full:
-        centre = centre % n
-    elif centre >= n:
-        # Outside the field of view: begin at the nearer end.
-        centre = n - 1 if turn - (n - 1) * step < 2.0 * np.pi - turn else 0
-    dx, dy = points[first + centre, 0] - px, points[first + centre, 1] - py
-    d2 = dx * dx + dy * dy
-    best, best2 = -1, gate2
-    if d2 < best2:
-        best, best2 = centre, d2
-    steps = n // 2 if full else n - 1
+    if centre >= whole:
+        centre -= whole
+    best, best2, nearest = -1, gate2, 1
+    if centre >= n:  # outside the field of view: there is nothing before the nearer end
+        nearest = min(centre - n + 1, whole - centre)
+    else:
+        dx, dy = points[first + centre, 0] - px, points[first + centre, 1] - py
+        d2 = dx * dx + dy * dy
+        if d2 < best2:
+            best, best2 = centre, d2
     row, last = min(ref, len(reach2) - 1), reach2.shape[1] - 1
-    for k in range(1, steps + 1):
+    for k in range(nearest, min(whole // 2, nearest + n - 1) + 1):
         if r2 * reach2[row, min(k, last)] > best2:
             break
         up, down = centre + k, centre - k
-        if full:
-            up, down = up % n, down % n
+        if up >= whole:
+            up -= whole
+        if down < 0:
+            down += whole
         if up < n:
             dx, dy = points[first + up, 0] - px, points[first + up, 1] - py
             d2 = dx * dx + dy * dy
             if d2 < best2:
                 best, best2 = up, d2
-        if down >= 0:
+        if down < n:
             dx, dy = points[first + down, 0] - px, points[first + down, 1] - py
             d2 = dx * dx + dy * dy
             if d2 < best2:

@@ -8,6 +8,7 @@ along the wall) while corners and clutter keep short, one-sided windows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -45,7 +46,8 @@ class PreparedScan:
 
     `lines` holds (nx, ny, d, s2, m) a beam: the unit normal that points to the laser, the offset
     with n . p = d for points p of the line, the variance of the normal's angle (rad^2), and the
-    position (-ny, nx) . p of the middle of the points it was fitted to.
+    position (-ny, nx) . p of the middle of the points it was fitted to.  `geometry` gives the
+    first bearing within half a turn of the base's x axis.
     """
 
     stamp_ns: int
@@ -53,7 +55,7 @@ class PreparedScan:
     lines: NDArray[np.float64]  # (n, 5)
     windows: NDArray[np.int32]  # (n, 2) first and last beam that the line was fitted to
     flags: NDArray[np.uint8]  # (n,) VALID | LINE
-    geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, 1 if 360 deg
+    geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, beams in a turn
     valid: int  # beams with a point
     centre: NDArray[np.float64]  # (2,) m, mean of the nearer points: what the scan looks at
     reach2: NDArray[np.float64]  # (REACH,) sin^2 of the angle that k - 1 beams make, to 90 deg
@@ -89,8 +91,10 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     flags = np.zeros(len(ranges), dtype=np.uint8)
     nearest = max(scan.range_min, 1e-3)
     farthest = min(scan.range_max, config.max_range)
-    full = 1.0 if step * len(ranges) > 2 * np.pi - 1.5 * step else 0.0
-    geometry = np.array([angle_min + mount.theta, step, mount.x, mount.y, full])
+    in_a_turn = 2 * np.pi / step - 1e-6
+    whole = len(ranges) if len(ranges) > in_a_turn - 1.5 else math.floor(in_a_turn)
+    first = math.remainder(angle_min + mount.theta, 2 * np.pi)  # the search wraps but once
+    geometry = np.array([first, step, mount.x, mount.y, whole])
     centre = np.zeros(2)
     valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
     noise, tolerance = config.range_noise, config.line_tolerance
