@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -142,6 +143,8 @@ def match(
     A refused match is an outcome: `converged` is False and `reason` says why; the pose is then
     the guess.  With a prior, an axis that the scans do not see keeps what the prior says.
     """
+    if not math.isfinite(guess.x() + guess.y() + guess.theta()):
+        return _refused(guess, prior, "the guess is not finite")
     stack = _stack(references)
     if source.valid < config.min_pairs:
         return _refused(guess, prior, f"only {source.valid} usable beams")
@@ -200,9 +203,10 @@ def _align(
     system = np.zeros(SYSTEM)
     variance = config.range_noise**2 * config.correlation
     last_step, iterations, axis, weakness = align(
-        source.points, source.lines, source.flags, source.geometry, *stack, pose, centre, known,
-        prior is not None, passes, config.range_noise, variance, config.floor_trans,
-        config.floor_rot, config.iterations, information, covariance, system,
+        source.points, source.lines, source.flags, source.geometry,
+        stack[0], stack[1], stack[2], stack[3], stack[4], stack[5], stack[6], stack[7],
+        pose, centre, known, prior is not None, passes, config.range_noise, variance,
+        config.floor_trans, config.floor_rot, config.iterations, information, covariance, system,
     )  # fmt: skip
     pairs = int(system[PAIRS])
     if pairs < config.min_pairs:
