@@ -1,0 +1,79 @@
+"""The covariance against the truth: noise repeated at one place, and whole campaigns."""
+
+import numpy as np
+import pytest
+from gtsam import Pose2
+
+from drivers.simulators.robot import drive
+from drivers.simulators.worlds import scenario
+from frontend.matching import MatchConfig
+from slam.bench_consistency import WORLDS, consistency
+from tests.frontend.scans import HOKUYO, error_of, match_one, prior_at, see
+
+MOTION = Pose2(0.3, 0.02, 0.1)
+REPEATS = 150
+
+
+def campaign(world, pose, laser=HOKUYO, repeats=REPEATS):
+    """Errors (n, 3) and mean covariance of matches whose noise alone differs."""
+    errors, covariances = [], []
+    for k in range(repeats):
+        target = see(pose, laser, 2 * k, world)
+        source = see(pose * MOTION, laser, 2 * k + 1, world)
+        result = match_one(target, source, MOTION, prior_at(MOTION), floor_trans=0, floor_rot=0)
+        assert result.converged
+        errors.append(error_of(result, MOTION))
+        covariances.append(result.covariance)
+    return np.array(errors), np.mean(covariances, axis=0)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_in_an_office_the_claimed_variance_is_the_real_one(share):
+    place = scenario("office", 5)
+    track = drive(place.path)
+    pose = Pose2(*track.at(np.array([share * track.duration_s]))[0])
+    errors, covariance = campaign(place.world, pose)
+    ratio = errors.var(axis=0) / np.diag(covariance)
+    # 150 repeats know a variance to 12 %.
+    assert (ratio > 0.70).all()
+    assert (ratio < 1.30).all()
+
+
+def test_errors_are_correlated_as_the_covariance_says():
+    place = scenario("office", 5)
+    track = drive(place.path)
+    errors, covariance = campaign(place.world, Pose2(*track.at(np.array([20.0]))[0]))
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (errors - errors.mean(axis=0)).T)
+    assert np.abs(np.cov(whitened) - np.eye(3)).max() < 0.5
+
+
+def test_twice_the_noise_gives_twice_the_sigma():
+    target, source = see(Pose2(), seed=1), see(MOTION, seed=2)
+    wide = prior_at(MOTION, [1.0, 1.0, 1.0])
+    sigmas = [
+        match_one(
+            target, source, MOTION, wide, range_noise=noise, floor_trans=0, floor_rot=0
+        ).sigmas
+        for noise in (0.01, 0.02)
+    ]
+    np.testing.assert_allclose(np.divide(*sigmas[::-1]), 2.0, rtol=0.25)
+
+
+def test_the_floor_bounds_what_is_claimed():
+    target, source = see(Pose2(), seed=1), see(MOTION, seed=2)
+    result = match_one(target, source, MOTION, floor_trans=0.01, floor_rot=0.005)
+    assert min(result.sigmas[:2]) >= 0.01
+    assert result.sigmas[2] >= 0.005
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("world", WORLDS)
+def test_errors_are_as_large_as_claimed(world):
+    """A thousand matches on worlds that calibration never saw."""
+    found = consistency(world, 1000, config=MatchConfig())
+    assert found["matches"] > 950
+    assert min(found["inside_3_sigma"]) > 0.985
+    # The band of a thousand samples is 9 % wide; the model is good to 20 %, and 40 % along a
+    # plain corridor, where a few door frames decide everything.
+    assert 0.75 < min(found["anees"])
+    assert max(found["anees"]) < (1.4 if world == "plain-corridor" else 1.25)
