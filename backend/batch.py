@@ -135,10 +135,10 @@ def values_of(poses: Matrix) -> gtsam.Values:
 def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> BatchResult:
     """Optimise everything from `poses` (n, 3); keyframe 0 is held where it is.
 
-    Where the graph that believes all loops contradicts some, two optimisations that can let go
-    of loops are tried (dynamic covariance scaling, Agarwal et al. 2013; Geman-McClure); neither
-    wins always, so the one with the smaller truncated cost is taken.  Loops that contradict it
-    are left out, and the rest decides.
+    Where the graph that believes all loops contradicts some, plain least squares and two
+    optimisations that can let go of loops are tried as well (dynamic covariance scaling, Agarwal
+    et al. 2013; Geman-McClure); none wins always, so the one with the smallest truncated cost is
+    taken.  Loops that contradict it are left out, and the rest decides.
 
     Raises:
         GraphError: the optimiser gave up, which a graph with near-singular edges can cause.
@@ -149,10 +149,11 @@ def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> Batch
         settled = _descend(poses, edges, maker, None)
         weights = dict.fromkeys(loops, 1.0)
         if config.reject_loops and (chi_squares(settled, edges, maker)[loops] > SUSPICIOUS).any():
-            settled = min(
-                (_descend(poses, edges, maker, kernel) for kernel in _letting_go()),
-                key=lambda found: truncated_cost(found, edges, maker),
-            )
+            # Plain least squares takes part: from a bad start only it pulls hard enough.
+            plain = FactorMaker(config.model_copy(update={"robust": False}))
+            rivals = [settled, _descend(poses, edges, plain, None, iterations=10)]
+            rivals += [_descend(poses, edges, maker, kernel) for kernel in _letting_go()]
+            settled = min(rivals, key=lambda found: truncated_cost(found, edges, maker))
             settled = _descend(settled, _believed(settled, edges, maker), maker, None)
             chi = chi_squares(settled, edges, maker)
             weights = {k: float(chi[k] <= SUSPICIOUS) for k in loops}
@@ -202,19 +203,20 @@ def _descend(
     edges: Sequence[Edge],
     maker: FactorMaker,
     loop_kernel: gtsam.noiseModel.mEstimator.Base | None,
+    iterations: int = 50,
 ) -> Matrix:
     """Levenberg-Marquardt from `poses`; loops under `loop_kernel`, or the configured one."""
     graph = gtsam.NonlinearFactorGraph()
     graph.add(maker.anchor(Pose2(*poses[0])))
     for edge in edges:
         graph.add(maker.between(edge, True, loop_kernel if edge.kind == "loop" else None))
-    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values_of(poses), _lm())
+    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values_of(poses), _lm(iterations))
     found: Matrix = gtsam.utilities.extractPose2(optimiser.optimize())
     return found
 
 
-def _lm() -> gtsam.LevenbergMarquardtParams:
+def _lm(iterations: int = 50) -> gtsam.LevenbergMarquardtParams:
     parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(50)
+    parameters.setMaxIterations(iterations)
     parameters.setRelativeErrorTol(1e-6)
     return parameters

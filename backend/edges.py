@@ -13,6 +13,10 @@ Matrix = NDArray[np.float64]
 Kind = Literal["odometry", "icp", "loop"]
 
 
+NEAR_SINGULAR = 1e5  # ratio of an information's eigenvalues beyond which it is capped
+BEST_INFORMATION = 1e6  # 1 / m^2 or 1 / rad^2: a sigma of a millimetre or a milliradian
+
+
 class GraphError(ValueError):
     """A measurement cannot enter the graph; the message says which and why."""
 
@@ -62,3 +66,16 @@ def relative_covariance(joint: Matrix, i_T_j: Pose2) -> Matrix:
     jacobian = np.hstack([-i_T_j.inverse().AdjointMap(), np.eye(3)])
     covariance: Matrix = jacobian @ joint @ jacobian.T
     return covariance
+
+
+def capped(edge: Edge) -> Edge:
+    """The edge itself, or with its best-known axes capped if its information is near-singular.
+
+    Some public graphs claim micrometres along one axis and decimetres along another; such
+    blocks stop Levenberg-Marquardt at its first step.  No scan match is better than a millimetre.
+    """
+    values, vectors = np.linalg.eigh(edge.information)
+    if values[-1] <= NEAR_SINGULAR * max(values[0], 0.0):
+        return edge
+    information = (vectors * np.clip(values, 0.0, BEST_INFORMATION)) @ vectors.T
+    return Edge(edge.kind, edge.i, edge.j, edge.i_T_j, 0.5 * (information + information.T))

@@ -190,7 +190,7 @@ def demo(
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="benchmark or matcher")],
+    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers or online")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
         Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")

@@ -259,7 +259,7 @@ class Slam:
 
     def _edges(self, sighting: _Sighting, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
         """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
-        information = np.linalg.inv(self._odometry_covariance(sighting))
+        information = np.asarray(np.linalg.inv(self._odometry_covariance(sighting)), np.float64)
         note = tracked.note
         blind = tracked.result.weak_axis is not None  # the match alone would tie nothing there
         if not (tracked.match_trusted and tracked.odometry_trusted):

@@ -135,7 +135,7 @@ def summarise(
             "accepted": accepted,
             "rejected": len(verdicts) - accepted,
         },
-        "distance_m": round(float(path_length(result.trajectory.poses)[-1]), 3),
+        "distance_m": round(float(path_length(result.keyframes.poses)[-1]), 3),
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
         "peak_rss_mb": round(peak_kb / 1024, 1),

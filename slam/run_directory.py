@@ -68,6 +68,8 @@ def write_results(
         log.add_attachment("config.json", config_json, "application/json")
         if write_input is None:
             log.write(result.slam.mount)
+            for keyframe in result.slam.keyframes:  # enough to draw the map again
+                log.write(keyframe.scan)
         else:
             write_input(log)
         _write_decisions(log, result)

@@ -1,0 +1,91 @@
+"""`slam bench NAME`: measure, print a table, write NAME.json."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from slam.config import SlamConfig, nearest
+from slam.errors import RunError
+from slam.run_directory import version
+
+Say = Callable[[str], None]
+
+# What the table shows of each row; the file holds all.
+COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "benchmark": (
+        "log", "trans_mean_m", "trans_std_m", "rot_mean_deg", "published_trans_mean_m",
+        "keyframes", "matches", "closures", "wall_s", "realtime_factor", "peak_rss_mb",
+    ),
+    "outliers": (
+        "graph", "share", "false_loops", "ate_to_clean_m", "extent_m", "precision", "recall",
+        "wall_s",
+    ),
+}  # fmt: skip
+
+
+def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say) -> None:
+    """Run one benchmark by name, print it and write `out`/NAME.json.
+
+    Raises:
+        RunError: no such benchmark, its data is missing, or the output cannot be written.
+    """
+    result = _measure(name, out, data, quick, say)
+    result["meta"] = {
+        "version": version(),
+        "config_sha256": SlamConfig().sha256(),
+        "python": platform.python_version(),
+        "quick": quick,
+        **result["meta"],
+    }
+    if name in COLUMNS:
+        Console().print(table(name, result["rows"]))
+    target = out / f"{name}.json"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        target.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RunError(f"{target}: cannot be written: {error.strerror}") from error
+    say(f"figures: {target}")
+
+
+def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[str, Any]:
+    """Each benchmark is imported only when asked for: some need optional packages."""
+    if name == "benchmark":
+        from slam.bench_benchmark import bench_benchmark
+
+        return bench_benchmark(data, quick, say)
+    if name == "matcher":
+        from slam.bench_matcher import bench_matcher
+
+        return bench_matcher(data, quick, say)
+    if name == "outliers":
+        from slam.bench_outliers import bench_outliers
+
+        return bench_outliers(data, quick, say)
+    if name == "online":
+        from slam.bench_online import bench_online
+
+        return bench_online(out, say)
+    known = ("benchmark", "matcher", "outliers", "online")
+    raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
+
+
+def table(name: str, rows: list[dict[str, Any]]) -> Table:
+    """The chosen columns of a benchmark's rows."""
+    shown = Table(title=name)
+    for column in COLUMNS[name]:
+        shown.add_column(column, justify="left" if column == COLUMNS[name][0] else "right")
+    for row in rows:
+        shown.add_row(*(_cell(row[column]) for column in COLUMNS[name]))
+    return shown
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
