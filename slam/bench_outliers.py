@@ -37,11 +37,11 @@ def bench_outliers(data: Path, quick: bool, say: Callable[[str], None]) -> dict[
         if not path.is_file():
             raise RunError(f"{path}: no such graph; say where they are with --data")
         graph = read_g2o(path)
-        config = GraphConfig(**PLAIN)  # type: ignore[arg-type]
+        config = GraphConfig(**PLAIN)
         clean = optimise(
             graph.poses,
             graph.edges,
-            GraphConfig(**PLAIN, robust=False, reject_loops=False),  # type: ignore[arg-type]
+            GraphConfig(**PLAIN, robust=False, reject_loops=False),
         ).poses
         for share in SHARES[:2] if quick else SHARES:
             say(f"{name}: {share:.0%} false loops")

@@ -18,15 +18,17 @@ from slam.run_directory import version
 Say = Callable[[str], None]
 
 # What the table shows of each row; the file holds all.
-COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "benchmark": (
-        "log", "trans_mean_m", "trans_std_m", "rot_mean_deg", "published_trans_mean_m",
-        "keyframes", "matches", "closures", "wall_s", "realtime_factor", "peak_rss_mb",
-    ),
-    "outliers": (
-        "graph", "share", "false_loops", "ate_to_clean_m", "extent_m", "precision", "recall",
-        "wall_s",
-    ),
+COLUMNS: Mapping[str, Mapping[str, str]] = {
+    "benchmark": {
+        "log": "log", "trans_mean_m": "mean m", "trans_std_m": "+- m", "rot_mean_deg": "deg",
+        "published_trans_mean_m": "published m", "keyframes": "keyframes", "matches": "matches",
+        "closures": "closures", "wall_s": "s", "realtime_factor": "x real", "peak_rss_mb": "MB",
+    },
+    "outliers": {
+        "graph": "graph", "share": "false per true loop", "false_loops": "false",
+        "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
+        "recall": "recall", "wall_s": "s",
+    },
 }  # fmt: skip
 
 
@@ -80,8 +82,8 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
 def table(name: str, rows: list[dict[str, Any]]) -> Table:
     """The chosen columns of a benchmark's rows."""
     shown = Table(title=name)
-    for column in COLUMNS[name]:
-        shown.add_column(column, justify="left" if column == COLUMNS[name][0] else "right")
+    for k, heading in enumerate(COLUMNS[name].values()):
+        shown.add_column(heading, justify="right" if k else "left")
     for row in rows:
         shown.add_row(*(_cell(row[column]) for column in COLUMNS[name]))
     return shown

@@ -15,7 +15,6 @@ from frontend.loop_search import submap_points, target_field
 from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import PreparedScan
 
-
 DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
 
 
