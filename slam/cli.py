@@ -121,10 +121,26 @@ def report(
 
 @app.command()
 def info(log: LogArgument) -> None:
-    """Say what a log holds."""
+    """Say what a log holds: channels, rates, gaps, losses, identity."""
     from slam.inspect import describe_log
 
     typer.echo(describe_log(log))
+
+
+@app.command()
+def doctor(
+    log: LogArgument,
+    json_: Annotated[
+        Path | None, typer.Option("--json", help="File for the findings, for programs.")
+    ] = None,
+) -> None:
+    """Say what is odd about a log; exit code 3 on warnings, 1 on errors."""
+    from slam.inspect import examine_log
+
+    text, code = examine_log(log, json_)
+    typer.echo(text)
+    if code:
+        raise typer.Exit(code)
 
 
 @app.command()

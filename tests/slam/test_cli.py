@@ -194,6 +194,7 @@ CASES = {
     "report on nothing": Case("report nowhere", 1, ("nowhere", "no such run")),
     "report on a folder": Case("report taken", 1, ("taken", "slam replay")),
     "info on a cut log": Case("info cut.mcap", 1, ("slam recover",)),
+    "doctor on a cut log": Case("doctor cut.mcap", 1, ("slam recover",)),
     "recover a cut log": Case(
         "recover cut.mcap --out OUT.mcap", 3, ("messages saved",), ("OUT.mcap",)
     ),
