@@ -149,15 +149,16 @@ class LoopCloser:
         if closure.reason or result is None:
             self._record(stamp_ns, anchor, newest, closure, closure.reason, np.nan)
             return None
+        edge = Edge("loop", anchor, newest, result.target_T_source, result.information)
         error = Pose2.Logmap(predicted.between(result.target_T_source))
         known = np.linalg.inv(covariance)
-        weight = known - known @ np.linalg.solve(known + result.information, known)
+        # The match counts with what the graph will give it, not with its bare range noise.
+        weight = known - known @ np.linalg.solve(known + graph.weight(edge), known)
         chi_square = float(error @ weight @ error)
         if chi_square > self._limit:
             reason = f"chi-square {chi_square:.1f} against the graph"
             self._record(stamp_ns, anchor, newest, closure, reason, chi_square)
             return None
-        edge = Edge("loop", anchor, newest, result.target_T_source, result.information)
         travelled = keyframes[-1].travelled_m
         candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square)
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
@@ -204,8 +205,8 @@ class LoopCloser:
         back = new.inverse().AdjointMap()
         covariance = (
             new_cov
-            + np.linalg.inv(b.information + 1e-6 * np.eye(3))
-            + back @ np.linalg.inv(a.information + 1e-6 * np.eye(3)) @ back.T
+            + np.linalg.inv(graph.weight(b) + 1e-6 * np.eye(3))
+            + back @ np.linalg.inv(graph.weight(a) + 1e-6 * np.eye(3)) @ back.T
             + bridge @ old_cov @ bridge.T
         )
         return float(error @ np.linalg.solve(covariance, error)) < self._limit
