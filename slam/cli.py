@@ -66,17 +66,27 @@ def simulate(
 @app.command("import")
 def import_(
     file: Annotated[
-        Path, typer.Argument(help="CARMEN or BreezySLAM log, gzipped or plain.", readable=False)
+        Path,
+        typer.Argument(
+            help="CARMEN (.clf, .log) or BreezySLAM (.dat) log, ROS 1 bag, ROS 2 bag (folder, "
+            ".mcap, .db3), or g2o graph with ROBOTLASER1 lines; texts may be gzipped.",
+            readable=False,
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
 ) -> None:
-    """Turn a foreign log into an MCAP log; what is repaired or skipped is counted."""
+    """Turn a foreign log into an MCAP log; what is repaired or skipped is counted.
+
+    ROS bags need the extra `ros`; their times of receipt are kept.
+    """
     from slam.imports import import_log
 
     report = import_log(file, out)
     _say(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
     for cause, count in report.changed.items():
         _say(f"  repaired: {count} {cause}")
+    for cause, count in report.ignored.items():
+        _say(f"  left out: {count} {cause}")
     _exit_on_loss(report.skipped, "skipped")
 
 
@@ -163,13 +173,31 @@ def recover(
 
 @app.command()
 def export(
-    log: LogArgument,
-    carmen: Annotated[Path, typer.Option(help="CARMEN log to write.")],
+    source: Annotated[Path, typer.Argument(help="An MCAP log, or a RUN.", readable=False)],
+    ros2: Annotated[Path | None, typer.Option(help="ROS 2 bag (folder) to make.")] = None,
+    carmen: Annotated[Path | None, typer.Option(help="CARMEN log to write.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder of tables to make.")] = None,
+    tum: Annotated[Path | None, typer.Option(help="TUM trajectory to write.")] = None,
+    g2o: Annotated[Path | None, typer.Option(help="Graph to write, of a RUN.")] = None,
+    poses: Annotated[
+        str,
+        typer.Option(
+            help="What --tum writes: odometry or truth of a log, trajectory, keyframes or "
+            "odometry of a RUN; the first of these if not said."
+        ),
+    ] = "",
 ) -> None:
-    """Write a log in a foreign format."""
-    from slam.exports import export_carmen
+    """Write a log or a RUN in foreign formats, one or several at once."""
+    from slam.exports import Targets
+    from slam.exports import export as run_export
 
-    _say(f"{carmen}: {export_carmen(log, carmen)} scans")
+    targets = Targets(ros2=ros2, carmen=carmen, csv=csv, tum=tum, g2o=g2o, poses=poses)
+    if not targets.paths():
+        raise typer.BadParameter("say what to write: --ros2, --carmen, --csv, --tum or --g2o")
+    done = run_export(source, targets)
+    for line in done.written:
+        _say(line)
+    _exit_on_loss(done.lost, "lost")
 
 
 @app.command()

@@ -20,6 +20,7 @@ class ImportReport:
     scans: int
     changed: Counter[str]
     skipped: Counter[str]
+    ignored: Counter[str]  # sound, but of no use here
 
 
 def import_log(file: Path, out: Path) -> ImportReport:
@@ -31,11 +32,12 @@ def import_log(file: Path, out: Path) -> ImportReport:
     imported = read_any(file)
     identity = {"source": file.name, "imported_from": imported.kind}
     with LogWriter(out, identity, keep_partial=False) as log:
-        for message in imported.messages:
-            log.write(message)
+        for message, receipt_ns in imported.received():
+            log.write(message, receipt_ns)
         counts = {**imported.skipped, **imported.changed, **imported.ignored}
         log.add_metadata("import", {cause: str(count) for cause, count in counts.items()})
     scans = sum(isinstance(message, LaserScan) for message in imported.messages)
     return ImportReport(
-        imported.kind, len(imported.messages), scans, imported.changed, imported.skipped
-    )
+        imported.kind, len(imported.messages), scans,
+        imported.changed, imported.skipped, imported.ignored,
+    )  # fmt: skip
