@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from enum import StrEnum
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -37,6 +38,14 @@ TruthOption = Annotated[
     Path | None,
     typer.Option(help="Truth: relations, TUM trajectory, or surveyed poses (CSV).", readable=False),
 ]
+
+
+class _From(StrEnum):
+    """What a replay takes its messages from."""
+
+    decoded = "decoded"
+    raw = "raw"
+
 
 LOSS = 3  # exit code: finished, but data was lost or skipped
 
@@ -96,6 +105,9 @@ def replay(
     out: Annotated[Path, typer.Option(help="RUN directory to make.")],
     config: ConfigOption = None,
     set_: SetOption = None,
+    from_: Annotated[
+        _From, typer.Option("--from", help="Logged messages, or the devices' raw bytes anew.")
+    ] = _From.decoded,
 ) -> None:
     """Run SLAM over a log, as fast as it goes."""
     from slam.config import load_config
@@ -104,7 +116,7 @@ def replay(
 
     settings = load_config(config, set_ or [])
     with stage_progress(log) as progress:
-        summary = run_replay(log, out, settings, progress)
+        summary = run_replay(log, out, settings, progress, from_ is _From.raw)
     _tell_summary(out, summary)
     _exit_on_loss(summary["lost"], "lost")
 

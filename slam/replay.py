@@ -18,6 +18,7 @@ from logs.messages import Message
 from slam.config import SlamConfig
 from slam.offline import Progress, Result, run_offline
 from slam.pipeline import Slam
+from slam.raw_source import messages_from_raw
 from slam.run_directory import new_run, version, write_results, write_summary
 from slam.stopwatch import Stopwatch
 from slam.trajectory import path_length
@@ -39,9 +40,15 @@ class TimedStep:
 
 
 def replay(
-    log: Path, out: Path, config: SlamConfig, progress: Progress | None = None
+    log: Path,
+    out: Path,
+    config: SlamConfig,
+    progress: Progress | None = None,
+    from_raw: bool = False,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
+
+    With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.
 
     Raises:
         LogError: the log cannot be read.
@@ -52,7 +59,10 @@ def replay(
 
     def source() -> Iterable[Message]:
         with open_log(log) as opened:
-            yield from opened.messages(SLAM_TOPICS)
+            if from_raw:
+                yield from messages_from_raw(opened, skipped)
+            else:
+                yield from opened.messages(SLAM_TOPICS)
             skipped.update(opened.skipped)
 
     source_sha256 = file_sha256(log)

@@ -137,6 +137,7 @@ CASES = {
     "reversed log": Case(
         "replay reversed.mcap --out OUT", 3, ("73 scan with a stamp that runs backwards",), ("OUT",)
     ),
+    "no raw bytes": Case("replay good.mcap --from raw --out OUT", 1, ("holds no raw bytes",)),
     # replay: output
     "out is there": Case("replay good.mcap --out taken", 1, ("taken", "exists already", "--out")),
     "out is a file": Case("replay good.mcap --out file", 1, ("file", "exists already")),
