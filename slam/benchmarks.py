@@ -75,7 +75,11 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_online import bench_online
 
         return bench_online(out, say)
-    known = ("benchmark", "matcher", "outliers", "online")
+    if name == "log":
+        from slam.bench_log import bench_log
+
+        return bench_log(quick, out)
+    known = ("benchmark", "matcher", "outliers", "online", "log")
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
 

@@ -246,7 +246,7 @@ def demo(
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers or online")],
+    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers, online or log")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
         Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")

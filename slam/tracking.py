@@ -15,6 +15,11 @@ from frontend.loop_search import submap_points, target_field
 from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import PreparedScan
 
+# The lies that look true: motion of the wrong sign, motion where there is none, and none where
+# there is; each with a start that would be right.
+RIVALS = ("mirrored translation", "zero motion", "previous velocity")
+RIVAL_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
+
 DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
 
 
@@ -97,7 +102,8 @@ def track(
     agreed = first.converged and disagreement(first, prior) < limit
     good = first.explained >= config.good_explained and first.quality >= config.good_quality
     if plausible and agreed and good:
-        return Tracked(first, True, True, "")
+        if not _surpassed(first, references, source, alternatives, config, matcher):
+            return Tracked(first, True, True, "")
     best, start = first, "odometry"
     for name, guess in [("odometry", prior.target_T_source), *alternatives]:
         other = _match_last(references, source, guess, matcher, config)
@@ -121,6 +127,24 @@ def track(
         return Tracked(best, True, True, "")
     cause = f"chi-square {distance:.0f}" if plausible else "faster than the robot can move"
     return Tracked(best, False, True, f"odometry refused: {cause}; matched from {start}")
+
+
+def _surpassed(
+    first: MatchResult, references: Sequence[Reference], source: PreparedScan,
+    alternatives: Sequence[tuple[str, Pose2]], config: TrackingConfig, matcher: MatchConfig,
+) -> bool:  # fmt: skip
+    """Whether another start explains the scan clearly better, though odometry and match agree.
+
+    A corridor looks alike a step further on: a match that starts where lying odometry says can
+    settle there and confirm it.
+    """
+    for name, guess in alternatives:
+        if name not in RIVALS:
+            continue
+        rival = match(references, source, guess, matcher, Prior(guess, RIVAL_COVARIANCE))
+        if rival.converged and rival.quality > config.margin * first.quality:
+            return True
+    return False
 
 
 def _quality(result: MatchResult) -> float:

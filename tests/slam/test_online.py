@@ -100,7 +100,7 @@ def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
     told = []
     with simulated(*faults) as robot:
         out = tmp_path / "run"
-        summary = run_online(robot.config, out, stop=after(5.0), tell=told.append, period_s=0.5)
+        summary = run_online(robot.config, out, stop=after(8.0), tell=told.append, period_s=0.5)
     online_equals_replay(out, tmp_path)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["keyframes"] >= 3

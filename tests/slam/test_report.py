@@ -326,7 +326,7 @@ def test_what_cannot_be_read_is_one_clear_line(tmp_path, run):
     with pytest.raises(ReportError, match="no such run directory"):
         evaluate(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ReportError, match=r"trajectory\.tum: cannot be read"):
+    with pytest.raises(ReportError, match=r"holds no trajectory\.tum"):
         evaluate(tmp_path / "empty")
     (tmp_path / "empty" / "trajectory.tum").write_text("")
     with pytest.raises(ReportError, match="holds no pose"):

@@ -1,0 +1,58 @@
+"""Odometry that lies: the fault is found, named, and costs next to nothing."""
+
+import numpy as np
+import pytest
+
+from drivers.simulators.drive import simulate
+from drivers.simulators.faults import OdometryFault
+from drivers.simulators.worlds import scenario
+from slam.config import SlamConfig
+from slam.metrics import align
+from slam.offline import run_offline
+from slam.trajectory import compose
+
+
+def run(world, seed, *faults):
+    """ATE (m) of a simulated drive, and what its run says."""
+    messages = list(simulate(scenario(world, seed), seed=seed, faults=faults))
+    result = run_offline(lambda: messages, SlamConfig())
+    truth = {m.stamp_ns: (m.x, m.y, m.theta) for m in result.truth}
+    true = np.array([truth[int(stamp)] for stamp in result.trajectory.stamps_ns])
+    found = compose(align(result.trajectory.poses, true), result.trajectory.poses)
+    return float(np.sqrt(np.mean(np.sum((found - true)[:, :2] ** 2, axis=1)))), result
+
+
+GAP = pytest.mark.xfail(
+    strict=True, reason="1.5 m and a radian without a scan: the match settles 18 cm off (ATE 54 mm)"
+)
+
+
+@pytest.mark.parametrize(
+    "kind", ["sign-flip", "stall", "jump", "slip", pytest.param("scan-gap", marks=GAP)]
+)
+def test_a_lie_in_a_furnished_building_costs_next_to_nothing(kind):
+    error, _ = run("office", 1, OdometryFault(kind, at_s=30.0))
+    assert error < 0.05
+
+
+@pytest.mark.parametrize("kind", ["stall", "jump"])
+def test_a_refused_odometry_is_on_record(kind):
+    _, result = run("office", 1, OdometryFault(kind, at_s=30.0))
+    refused = [f for f in result.slam.factors if f.kind == "odometry" and not f.used]
+    assert refused
+    assert all("odometry refused" in f.note for f in refused)
+
+
+def test_honest_odometry_is_not_called_a_liar():
+    error, result = run("office", 1)
+    refused = [f for f in result.slam.factors if f.kind == "odometry" and not f.used]
+    assert error < 0.05
+    assert len(refused) <= 0.01 * len(result.slam.keyframes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sign-flip", "stall", "jump", "slip", "scan-gap"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_lie_in_a_ring_corridor_costs_next_to_nothing(kind, seed):
+    error, _ = run("office-ring", seed, OdometryFault(kind, at_s=60.0))
+    assert error < 0.05
