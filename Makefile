@@ -17,7 +17,7 @@ demo: $(READY)
 	$(BIN)/slam demo --out demo-out
 
 test: $(READY)
-	$(BIN)/python -m pytest -q -m 'not slow'
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m 'not slow'
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow

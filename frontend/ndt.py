@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from frontend.icp_kernels import solve3
+
 MIN_POINTS = 5  # a cell with fewer says nothing about its shape
 MIN_RATIO = 0.001  # smallest eigenvalue of a cell over its largest, as in the paper
 
@@ -110,18 +112,22 @@ def ndt(cells, origin, shape, cell, source, pose, iterations, tolerance):
     """
     rows, columns = shape
     gradient, hessian = np.zeros(3), np.zeros((3, 3))
-    trial = np.zeros(3)
+    trial, step, upper = np.zeros(3), np.zeros(3), np.zeros(6)
     spare_g, spare_h = np.zeros(3), np.zeros((3, 3))
     size = np.inf
     for iteration in range(iterations):
         score = _derivatives(cells, origin, columns, rows, cell, source, pose, gradient, hessian)
         if score < 1e-6:
             return np.inf, iteration + 1
-        low = np.linalg.eigvalsh(hessian)[0]
-        lift = max(0.0, 1e-3 * abs(hessian[0, 0]) - low) + 1e-9
-        for k in range(3):
-            hessian[k, k] += lift
-        step = np.linalg.solve(hessian, -gradient)
+        lift = 1e-9
+        for _ in range(20):
+            upper[0], upper[1], upper[2] = hessian[0, 0] + lift, hessian[0, 1], hessian[0, 2]
+            upper[3], upper[4], upper[5] = hessian[1, 1] + lift, hessian[1, 2], hessian[2, 2] + lift
+            if solve3(upper, gradient, step):
+                break
+            lift = max(10.0 * lift, 1e-3 * abs(hessian[2, 2]))
+        else:
+            return np.inf, iteration + 1
         length = np.sqrt(step[0] ** 2 + step[1] ** 2)
         step *= min(1.0, 0.5 * cell / max(length, 1e-12), 0.2 / max(abs(step[2]), 1e-12))
         for _ in range(6):

@@ -1,6 +1,13 @@
-"""Compiled kernels must be those of the source under test."""
+"""Compiled kernels must be those of the source under test; CI draws the same examples each time."""
 
+import os
 from pathlib import Path
+
+from hypothesis import settings
+
+settings.register_profile("ci", derandomize=True)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 FRONTEND = Path(__file__).parents[1] / "frontend"
 ALTERNATIVES = ("point_to_point.py", "ndt.py", "psm.py")

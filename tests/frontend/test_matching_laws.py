@@ -69,7 +69,7 @@ def test_a_mirrored_world_gives_the_mirrored_motion(motion, seed):
     image = match_one(_mirrored(a), _mirrored(b), _mirror(motion))
     assert image.converged
     # Coarse passes leave out other beams of a mirrored scan, so the iterations differ.
-    tolerance = 0.2 * np.array(plain.sigmas) + 2e-4
+    tolerance = 0.5 * np.array(plain.sigmas) + 2e-4
     assert (np.abs(error_of(image, _mirror(plain.target_T_source))) < tolerance).all()
 
 
