@@ -15,6 +15,7 @@ from backend.edges import Edge
 from backend.g2o import G2oGraph, read_g2o
 from slam.errors import RunError
 from slam.metrics import align
+from slam.trajectory import compose
 
 GRAPHS = {
     "M3500": "nano-pgo-input_M3500_g2o",
@@ -59,7 +60,7 @@ def _mixed(
     refused = {k for k, weight in result.loop_weights.items() if weight < OUTLIER}
     hits = sum(k >= len(graph.edges) for k in refused)
     aligned = align(result.poses, clean)
-    offsets = np.hypot(*(_placed(aligned, result.poses) - clean)[:, :2].T)
+    offsets = np.hypot(*(compose(aligned, result.poses) - clean)[:, :2].T)
     return {
         "share": share,
         "false_loops": len(false),
@@ -69,13 +70,6 @@ def _mixed(
         "recall": hits / max(len(false), 1),
         "wall_s": wall,
     }
-
-
-def _placed(transform: Any, poses: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    from slam.trajectory import compose
-
-    placed: np.ndarray[Any, Any] = compose(transform, poses)
-    return placed
 
 
 def false_loops(graph: G2oGraph, share: float, rng: np.random.Generator) -> list[Edge]:
