@@ -108,15 +108,18 @@ def replay(
     from_: Annotated[
         _From, typer.Option("--from", help="Logged messages, or the devices' raw bytes anew.")
     ] = _From.decoded,
+    rate: Annotated[
+        float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as it goes.")
+    ] = 0.0,
 ) -> None:
-    """Run SLAM over a log, as fast as it goes."""
+    """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.config import load_config
     from slam.progress import stage_progress
     from slam.replay import replay as run_replay
 
     settings = load_config(config, set_ or [])
     with stage_progress(log) as progress:
-        summary = run_replay(log, out, settings, progress, from_ is _From.raw)
+        summary = run_replay(log, out, settings, progress, from_ is _From.raw, rate)
     _tell_summary(out, summary)
     _exit_on_loss(summary["lost"], "lost")
 

@@ -7,6 +7,7 @@ import platform
 import resource
 import time
 from collections.abc import Iterable, Sequence
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from logs.mcap_log import open_log
 from logs.messages import Message
 from slam.config import SlamConfig
 from slam.offline import Progress, Result, run_offline
+from slam.pacing import paced
 from slam.pipeline import Slam
 from slam.raw_source import messages_from_raw
 from slam.run_directory import new_run, version, write_results, write_summary
@@ -45,10 +47,13 @@ def replay(
     config: SlamConfig,
     progress: Progress | None = None,
     from_raw: bool = False,
+    rate: float = 0.0,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
 
-    With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.
+    With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
+    of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
+    the results are the same.
 
     Raises:
         LogError: the log cannot be read.
@@ -56,13 +61,15 @@ def replay(
         RunError: the output cannot be written.
     """
     skipped: dict[str, int] = {}
+    rates = chain([rate], repeat(0.0))  # what is read again, to place every scan, need not wait
 
     def source() -> Iterable[Message]:
+        pace = next(rates)
         with open_log(log) as opened:
-            if from_raw:
-                yield from messages_from_raw(opened, skipped)
-            else:
-                yield from opened.messages(SLAM_TOPICS)
+            messages = (
+                messages_from_raw(opened, skipped) if from_raw else opened.messages(SLAM_TOPICS)
+            )
+            yield from paced(messages, pace) if pace else messages
             skipped.update(opened.skipped)
 
     source_sha256 = file_sha256(log)
