@@ -28,6 +28,7 @@ from slam.replay import SLAM_TOPICS, summarise, time_matches
 from slam.robot_config import RobotConfig
 from slam.run_directory import version
 from slam.stopwatch import Stopwatch
+from slam.watcher import Nobody, Watcher
 
 _RANKS = ("p50", "p99", "max")
 
@@ -42,6 +43,7 @@ def run_online(
     say: Callable[[str], None] = lambda text: None,
     period_s: float = 1.0,
     opener: Callable[[str, int], Port] = open_port,
+    watcher: Watcher | None = None,
 ) -> dict[str, Any]:
     """Record and map until `stop` says so, write the RUN, and return its summary.
 
@@ -54,13 +56,14 @@ def run_online(
         say: told what happens, in words.
         period_s: between two statuses.
         opener: opens ports; replaced in tests.
+        watcher: shown the run as it goes.
 
     Raises:
         RunError: `out` cannot be written, or nothing was there to map; what was recorded is
             in `out` all the same.
         LogError: the disk failed.
     """
-    watch = Stopwatch()
+    watch, watcher = Stopwatch(), watcher or Nobody()
     slam = None if record_only else Slam(config.slam, watch)
     identity = {
         "source": "online", "version": version(), "config_sha256": config.slam.sha256(),
@@ -81,7 +84,7 @@ def run_online(
                 "robot.json", config.model_dump_json(indent=2, exclude={"slam"}).encode(),
                 "application/json",
             )  # fmt: skip
-            live = LiveRun(config, recorder, clock, slam, opener)
+            live = LiveRun(config, recorder, clock, slam, opener, watcher)
             say("recording; stop with Ctrl-C")
             live.run(stop, tell, period_s)
         status = recorder.status()
@@ -92,7 +95,8 @@ def run_online(
         try:
             if slam is not None:
                 say("finishing the map")
-                summary = _map(folder, live, slam, watch, identity, summary, began)
+                watcher.stage("finishing the map")
+                summary = _map(folder, live, slam, watch, identity, summary, began, watcher)
         finally:
             finish_folder(folder, summary, config.slam)
     if status.stopped:
@@ -102,7 +106,7 @@ def run_online(
 
 def _map(
     folder: Path, live: LiveRun, slam: Slam, watch: Stopwatch, identity: Mapping[str, str],
-    account: dict[str, Any], began: tuple[float, float],
+    account: dict[str, Any], began: tuple[float, float], watcher: Watcher,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
     if slam.scan_stamps_ns and not live.has_odometry:
@@ -113,6 +117,7 @@ def _map(
             yield from recording.messages(SLAM_TOPICS)
 
     result = finish(slam, source, [], watch, lambda stage, done: None)
+    watcher.finish(result)
     add_results(folder, result, identity, slam.config)
     summary = summarise(result, "run.mcap", _timing(live, result, watch, began), slam.config)
     lost = {**account["lost"], **summary["lost"]}

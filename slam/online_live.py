@@ -21,6 +21,7 @@ from slam.online_status import Status, device_losses
 from slam.pipeline import Slam
 from slam.replay import TimedStep
 from slam.robot_config import RobotConfig
+from slam.watcher import Nobody, Watcher
 
 _LOOK_S = 0.1  # how soon a request to stop is noticed
 _DISK_S = 0.5  # s between two looks at whether recording has ended
@@ -41,6 +42,7 @@ class LiveRun:
         clock: Clock,
         slam: Slam | None,
         opener: Callable[[str, int], Port] = open_port,
+        watcher: Watcher | None = None,
     ) -> None:
         self.slam = slam
         self.intake = Intake(recorder, hand_on=slam is not None)
@@ -56,6 +58,7 @@ class LiveRun:
         self.has_odometry = False
         self.ended_by = ""  # why the run ended by itself
         self._recorder, self._clock, self._mount = recorder, clock, config.mount
+        self._watcher = watcher or Nobody()
         self._links = {"p3dx": "waiting", "laser": "waiting"}
         self._said: dict[str, str] = {}
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
@@ -100,6 +103,7 @@ class LiveRun:
             self._unused.append(received.receipt_ns)
         self.has_odometry = self.has_odometry or isinstance(message, WheelOdometry)
         feed(self.slam, message, self.timed)
+        self._watcher.show(self.slam, message)
         now = self._clock()
         self._age_s = (now - received.receipt_ns) * 1e-9
         if isinstance(message, LaserScan):
@@ -120,7 +124,9 @@ class LiveRun:
         now = self._clock()
         if now - self._told_ns < period_s * 1e9:
             return
-        tell(self._status(now))
+        status = self._status(now)
+        tell(status)
+        self._watcher.tell(status)
         self._told_ns, self._told_scans = now, self.intake.scans
         if now - self._noted_ns >= _NOTE_S * 1e9:
             self._note(now)

@@ -96,6 +96,11 @@ class Slam:
         """How many scans wait for odometry after them."""
         return len(self._pending)
 
+    @property
+    def latest_scan(self) -> LaserScan | None:
+        """The newest scan that has its odometry; None before the first."""
+        return self._latest.scan if self._latest else None
+
     def finish_input(self) -> None:
         """No more messages will come: use what still waits."""
         self._drain(wait=False)

@@ -24,6 +24,7 @@ from slam.raw_source import messages_from_raw
 from slam.run_directory import new_run, version, write_results, write_summary
 from slam.stopwatch import Stopwatch
 from slam.trajectory import path_length
+from slam.watcher import Nobody, Watcher
 
 SLAM_TOPICS = ("/scan", "/odom", "/tf", "/truth")
 
@@ -48,12 +49,13 @@ def replay(
     progress: Progress | None = None,
     from_raw: bool = False,
     rate: float = 0.0,
+    watcher: Watcher | None = None,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
 
     With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
     of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
-    the results are the same.
+    the results are the same, and so they are with a `watcher`.
 
     Raises:
         LogError: the log cannot be read.
@@ -74,7 +76,7 @@ def replay(
 
     source_sha256 = file_sha256(log)
     with new_run(out) as partial:
-        result, timing = timed_run(source, config, progress)
+        result, timing = timed_run(source, config, progress, watcher)
         identity = {
             "source": log.name, "source_sha256": source_sha256, "version": version(),
             "config_sha256": config.sha256(), "host": platform.node(),
@@ -91,13 +93,22 @@ def replay(
 
 
 def timed_run(
-    source: Any, config: SlamConfig, progress: Progress | None
+    source: Any,
+    config: SlamConfig,
+    progress: Progress | None,
+    watcher: Watcher | None = None,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
-    watch, step = Stopwatch(), TimedStep()
+    watch, step, looker = Stopwatch(), TimedStep(), watcher or Nobody()
+
+    def shown(slam: Slam, message: Message) -> None:
+        step(slam, message)
+        looker.show(slam, message)
+
     wall, cpu = time.perf_counter(), time.process_time()
-    result = run_offline(source, config, watch, progress, step)
+    result = run_offline(source, config, watch, progress, shown)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    looker.finish(result)
     stamps = result.trajectory.stamps_ns
     duration = float(stamps[-1] - stamps[0]) * 1e-9
     steps = np.array(step.milliseconds)
