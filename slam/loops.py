@@ -12,12 +12,12 @@ from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from backend.pose_graph import Edge, PoseGraph
-from frontend.correlative import LikelihoodField
-from frontend.loop_search import Closure, LoopSearchConfig, close_loop, target_field
-from frontend.matching import MatchConfig, Reference
+from frontend.loop_search import Closure, LoopSearchConfig
+from frontend.matching import MatchConfig
 from frontend.scan import PreparedScan
 from logs.messages import LoopVerdict
 from slam.keyframe import Keyframe, view_centres
+from slam.loops_beside import Beside, LoopQuestion, LoopSearcher
 
 
 class LoopConfig(BaseModel):
@@ -60,32 +60,43 @@ class Candidate:
 
 
 class LoopCloser:
-    """Finds, verifies and admits loop closures; the caller adds them to the graph."""
+    """Finds, verifies and admits loop closures; the caller adds them to the graph.
 
-    def __init__(self, config: LoopConfig, matcher: MatchConfig) -> None:
+    `begin` and `close` come in turn: the search may run beside whatever is done in between.
+    """
+
+    def __init__(self, config: LoopConfig, matcher: MatchConfig, beside: Beside) -> None:
         self.config = config
         self.verdicts: list[LoopVerdict] = []
-        self._matcher = matcher
+        self._searcher = LoopSearcher(config.search, matcher, beside)
         self._pending: list[Candidate] = []
-        self._fields: dict[int, LikelihoodField] = {}
         self._searched_m = 0.0
         self._limit = float(chi2.isf(config.gate, 3))
 
     def moved(self) -> None:
         """The graph changed its shape: forget maps of old places, which have moved within."""
-        self._fields.clear()
+        self._searcher.forget()
 
-    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Edge]:
-        """Loop edges that are now believed, for the newest keyframe and ones that waited."""
+    def begin(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> bool:
+        """Start a search for the newest keyframe; False if none is due."""
         newest = keyframes[-1]
         if not self.config.enabled or newest.travelled_m - self._searched_m < self.config.every_m:
-            return []
+            return False
         self._searched_m = newest.travelled_m
+        places = self._places(keyframes, graph)
+        self._searcher.begin([self._question(keyframes, graph, anchor) for anchor in places])
+        return bool(places)
+
+    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Edge]:
+        """Loop edges that are now believed, from the search begun last and ones that waited.
+
+        Keyframes and graph must be as they were when it was begun.
+        """
         accepted: list[Edge] = []
-        for anchor in self._places(keyframes, graph):
-            candidate = self._try(keyframes, graph, anchor)
+        for question, closure in self._searcher.answers():
+            candidate = self._judge(keyframes, graph, question, closure)
             if candidate is not None:
-                accepted += self._admit(candidate, graph, newest.travelled_m)
+                accepted += self._admit(candidate, graph, keyframes[-1].travelled_m)
         return accepted
 
     def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
@@ -123,9 +134,9 @@ class LoopCloser:
         base = graph.pose(origin)
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
 
-    def _try(
+    def _question(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchor: int
-    ) -> Candidate | None:
+    ) -> LoopQuestion:
         newest = keyframes[-1].index
         half = self.config.target_half
         target = range(max(0, anchor - half), min(newest, anchor + half + 1))
@@ -136,14 +147,14 @@ class LoopCloser:
             range(max(0, newest - self.config.query_keyframes + 1), newest + 1),
             newest,
         )
-        if anchor not in self._fields:
-            self._fields[anchor] = target_field(old, self.config.search.correlative)
-        predicted, covariance = graph.relative(anchor, newest)
-        references = [Reference(pose, scan) for pose, scan in old]
-        closure = close_loop(
-            self._fields[anchor], references, query, predicted, covariance,
-            self.config.search, self._matcher,
-        )  # fmt: skip
+        return LoopQuestion(anchor, old, query, *graph.relative(anchor, newest))
+
+    def _judge(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, question: LoopQuestion,
+        closure: Closure,
+    ) -> Candidate | None:  # fmt: skip
+        newest, anchor = keyframes[-1].index, question.anchor
+        predicted, covariance = question.predicted, question.covariance
         stamp_ns = keyframes[-1].scan.stamp_ns
         result = closure.result
         if closure.reason or result is None:

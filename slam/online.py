@@ -6,6 +6,7 @@ import platform
 import resource
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +65,14 @@ def run_online(
         LogError: the disk failed.
     """
     watch, watcher = Stopwatch(), watcher or Nobody()
-    slam = None if record_only else Slam(config.slam, watch)
+    loops = ThreadPoolExecutor(1, thread_name_prefix="loops")
+    slam = None if record_only else Slam(config.slam, watch, loops.submit)
     identity = {
         "source": "online", "version": version(), "config_sha256": config.slam.sha256(),
         "host": platform.node(),
     }  # fmt: skip
     began = time.perf_counter(), time.process_time()
-    with online_run(out) as folder:
+    with online_run(out) as folder, loops:
         if slam is not None:
             say("getting ready (kernels compile the first time)")
             warm_up(config.slam)

@@ -29,12 +29,14 @@ from logs.messages import (
 from slam.config import SlamConfig
 from slam.keyframe import Keyframe
 from slam.loops import LoopCloser
+from slam.loops_beside import Beside, at_once
 from slam.odometry import OdometryBuffer
 from slam.stopwatch import NoWatch
 from slam.tracking import Tracked, track
 
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
 MOST_BETWEEN = 64  # scans kept between two keyframes
+CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 MAX_WAIT_NS = 1_000_000_000  # a scan waits this long (in message time) for odometry after it
 
 
@@ -52,9 +54,15 @@ class _Sighting:
 
 
 class Slam:
-    """Messages in, a pose graph out."""
+    """Messages in, a pose graph out.
 
-    def __init__(self, config: SlamConfig, watch: NoWatch | None = None) -> None:
+    Loop searches run `beside` it; their results enter the graph at a scan fixed in advance, so
+    it makes no difference to the graph how fast they are or whether they run beside at all.
+    """
+
+    def __init__(
+        self, config: SlamConfig, watch: NoWatch | None = None, beside: Beside = at_once
+    ) -> None:
         self.config = config
         self._watch = watch or NoWatch()
         self.keyframes: list[Keyframe] = []
@@ -68,7 +76,8 @@ class Slam:
         self.matches = 0
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
-        self.loops = LoopCloser(config.loops, config.matcher)
+        self.loops = LoopCloser(config.loops, config.matcher, beside)
+        self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._odometry = OdometryBuffer()
         self._pending: deque[LaserScan] = deque()
         self._unbroken = 0  # keyframes from here on are tied together by matches
@@ -104,6 +113,7 @@ class Slam:
     def finish_input(self) -> None:
         """No more messages will come: use what still waits."""
         self._drain(wait=False)
+        self._close_loops()
         self.loops.finish()
 
     def _drain(self, wait: bool) -> None:
@@ -146,6 +156,8 @@ class Slam:
 
     def _consider(self, sighting: _Sighting) -> None:
         """Make the scan a keyframe, or let it wait among those between two keyframes."""
+        if self._closing_due is not None and sighting.index >= self._closing_due:
+            self._close_loops()
         if self._kept is None:
             prepared = prepare(sighting.scan, self.mount, self.config.scan)
             if prepared.valid >= self.config.matcher.min_pairs:
@@ -177,6 +189,7 @@ class Slam:
         if prepared.valid < self.config.matcher.min_pairs:
             self.noted["keyframe postponed: scan too empty"] += 1
             return
+        self._close_loops()
         with self._watch("matching"):
             tracked = self._track(sighting, prepared, between)
         self.matches += 1
@@ -205,7 +218,16 @@ class Slam:
         self._record_decision(sighting.scan, sighting.index, reason, moved, tracked)
         self._last_step = (step, seconds)
         self._keep(sighting, prepared, float(np.hypot(step.x(), step.y())))
-        stamp_ns = sighting.scan.stamp_ns
+        self._record_estimate(sighting.scan.stamp_ns, tracked.lost)
+        with self._watch("closing"):
+            if self.loops.begin(self.keyframes, self.graph):
+                self._closing_due = sighting.index + CLOSING_SCANS
+
+    def _close_loops(self) -> None:
+        """Let what the last loop search found enter the graph, which has not grown since."""
+        if self._closing_due is None or self.graph is None:
+            return
+        self._closing_due = None
         with self._watch("closing"):
             closures = self.loops.close(self.keyframes, self.graph)
         if closures:
@@ -213,8 +235,7 @@ class Slam:
                 self.graph.add_edges(closures)
             self.loops.moved()
             for edge in closures:
-                self._record_edge(stamp_ns, edge, True, "")
-        self._record_estimate(stamp_ns, tracked.lost)
+                self._record_edge(self.keyframes[-1].scan.stamp_ns, edge, True, "")
 
     def _track(
         self, sighting: _Sighting, prepared: PreparedScan, between: Sequence[_Sighting]

@@ -1,0 +1,75 @@
+"""Loop searches that may run beside the step: all they need is taken along when they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+from gtsam import Pose2
+
+from frontend.correlative import LikelihoodField
+from frontend.loop_search import Closure, LoopSearchConfig, Matrix, close_loop, target_field
+from frontend.matching import MatchConfig, Reference
+from frontend.scan import PreparedScan
+
+Beside = Callable[..., Future[Any]]  # as `Executor.submit`
+Submap = Sequence[tuple[Pose2, PreparedScan]]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LoopQuestion:
+    """Is the newest keyframe at this old place?  Nothing in it changes any more."""
+
+    anchor: int  # keyframe in the middle of the old place
+    old: Submap  # keyframes of the place, in the anchor's frame
+    query: Submap  # latest keyframes, in the newest's frame
+    predicted: Pose2  # anchor_T_newest as the graph has it
+    covariance: Matrix  # (3, 3) of that, in the newest's frame
+
+
+class LoopSearcher:
+    """Answers one set of questions at a time; maps of old places are kept for the next."""
+
+    def __init__(self, config: LoopSearchConfig, matcher: MatchConfig, beside: Beside) -> None:
+        self._config, self._matcher, self._beside = config, matcher, beside
+        self._fields: dict[int, LikelihoodField] = {}  # by anchor; the search's own while it runs
+        self._questions: Sequence[LoopQuestion] = ()
+        self._searching: Future[list[Closure]] | None = None
+
+    def begin(self, questions: Sequence[LoopQuestion]) -> None:
+        """Search for the answers, which must be taken before the next begin."""
+        self._questions = questions
+        self._searching = self._beside(self._search, questions) if questions else None
+
+    def answers(self) -> Iterable[tuple[LoopQuestion, Closure]]:
+        """Each question with its answer, in the order asked; waits for a search that runs."""
+        if self._searching is None:
+            return ()
+        closures, self._searching = self._searching.result(), None
+        return zip(self._questions, closures, strict=True)
+
+    def forget(self) -> None:
+        """Old places have moved within: make new maps of them."""
+        self._fields.clear()
+
+    def _search(self, questions: Sequence[LoopQuestion]) -> list[Closure]:
+        return [self._answer(question) for question in questions]
+
+    def _answer(self, question: LoopQuestion) -> Closure:
+        anchor = question.anchor
+        if anchor not in self._fields:
+            self._fields[anchor] = target_field(question.old, self._config.correlative)
+        references = [Reference(pose, scan) for pose, scan in question.old]
+        return close_loop(
+            self._fields[anchor], references, question.query, question.predicted,
+            question.covariance, self._config, self._matcher,
+        )  # fmt: skip
+
+
+def at_once(search: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """Do it here and now: for replays, which have no sensor to keep up with."""
+    done: Future[Any] = Future()
+    done.set_result(search(*arguments))
+    return done
