@@ -8,20 +8,34 @@ from another program's log is read as well.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from logs.messages import LaserMount, LaserScan, OccupancyMap, PoseEstimate, TruePose, WheelOdometry
+from logs.messages import (
+    LaserMount,
+    LaserScan,
+    LogLine,
+    OccupancyMap,
+    PoseEstimate,
+    TruePose,
+    WheelOdometry,
+)
 from logs.protos import CLASSES
 
 _Scan = CLASSES["LaserScan"]
 _Odometry = CLASSES["Odometry"]
 _Transform = CLASSES["FrameTransform"]
 _Grid = CLASSES["Grid"]
+_Log = CLASSES["Log"]
 
 _PLANAR = tuple(6 * row + column for row in (0, 1, 5) for column in (0, 1, 5))
 """Where the covariance of (x, y, theta) sits in the 6x6 one of x, y, z and three rotations."""
+
+_LEVELS: tuple[Literal["debug", "info", "warning", "error", "fatal"], ...] = (
+    "debug", "info", "warning", "error", "fatal",
+)  # fmt: skip
+"""foxglove.Log.Level from 1 on; 0 is UNKNOWN."""
 
 _INT8 = 2  # foxglove.PackedElementField.NumericType
 
@@ -174,6 +188,22 @@ def decode_map(stamp_ns: int, data: bytes) -> OccupancyMap:
     cells = np.frombuffer(read.data, dtype=np.int8).reshape(rows, columns)
     origin = read.pose.position
     return OccupancyMap(stamp_ns, read.cell_size.x, origin.x, origin.y, cells)
+
+
+def encode_log(message: LogLine) -> bytes:
+    """Encode a line of the log panel."""
+    out = _Log(level=1 + _LEVELS.index(message.level), name=message.name, message=message.text)
+    _set_time(out.timestamp, message.stamp_ns)
+    payload: bytes = out.SerializeToString()
+    return payload
+
+
+def decode_log(stamp_ns: int, data: bytes) -> LogLine:
+    """Decode a line; a program's file and line number are of no use here."""
+    read = _Log.FromString(data)
+    if not 1 <= read.level <= len(_LEVELS):
+        raise ValueError("unknown level")
+    return LogLine(stamp_ns, _LEVELS[read.level - 1], read.name, read.message)
 
 
 def _set_time(timestamp: Any, stamp_ns: int) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from logs.mcap_open import open_log
 from logs.mcap_read import Log
-from logs.schemas import CHANNELS, STAMP_LIMIT
+from logs.messages import LogLine
+from logs.schemas import CHANNELS, STAMP_LIMIT, decode
 from logs.timing import Timing, TimingCounter
 
 
@@ -32,6 +35,10 @@ class AttachmentInfo:
     bytes: int
 
 
+_LINES = 20  # of those on `/log`, the last
+_LONGEST = 4096  # bytes of a line
+
+
 @dataclass(frozen=True, slots=True)
 class LogInfo:
     """A log at a glance.  Text in it comes from the file: show it through `errors.shown`."""
@@ -44,6 +51,7 @@ class LogInfo:
     run: dict[str, str]  # the run's identity
     metadata: dict[str, dict[str, str]]  # every other metadata record
     attachments: tuple[AttachmentInfo, ...]
+    lines: tuple[LogLine, ...]  # the last that were said on `/log`
     lost_recording: dict[str, int]  # dropped or refused while recording, per cause
     lost_reading: dict[str, int]  # damaged or malformed, per cause
 
@@ -64,7 +72,7 @@ class LogInfo:
 
 
 def read_info(path: Path | str) -> LogInfo:
-    """Read a log once and return what it holds; payloads are not decoded.
+    """Read a log once and return what it holds; payloads are not decoded but for `/log`.
 
     Raises:
         LogError: if it cannot be opened as one of our logs.
@@ -73,13 +81,21 @@ def read_info(path: Path | str) -> LogInfo:
     with open_log(path) as log:
         timings: dict[int, TimingCounter] = {}
         sizes: Counter[int] = Counter()
+        talk: set[int] = set()  # the channels `/log`
+        said: deque[tuple[int, bytes]] = deque(maxlen=_LINES)  # stamp and payload
         first, last = STAMP_LIMIT, 0
         for raw in log.raw_messages():
             if raw.publish_time >= STAMP_LIMIT or raw.log_time >= STAMP_LIMIT:
                 log.skipped["time after the year 2262"] += 1
                 continue
-            timings.setdefault(raw.channel_id, TimingCounter()).add(raw.publish_time)
+            if raw.channel_id not in timings:
+                timings[raw.channel_id] = TimingCounter()
+                if log.channel_ids().get(raw.channel_id, ("",))[0] == "/log":
+                    talk.add(raw.channel_id)
+            timings[raw.channel_id].add(raw.publish_time)
             sizes[raw.channel_id] += len(raw.data)
+            if raw.channel_id in talk and len(raw.data) <= _LONGEST:
+                said.append((raw.publish_time, raw.data))
             first, last = min(first, raw.log_time), max(last, raw.log_time)
         for number in timings.keys() - log.channel_ids().keys():
             cause = "messages of a channel that is nowhere described"
@@ -95,9 +111,21 @@ def read_info(path: Path | str) -> LogInfo:
             metadata.pop("run", {}),
             metadata,
             tuple(attachments),
+            _lines(said),
             recording_losses(metadata),
             dict(log.skipped),
         )
+
+
+def _lines(said: Iterable[tuple[int, bytes]]) -> tuple[LogLine, ...]:
+    """Decode what was said; a line that cannot be read is replay's to count."""
+    lines = []
+    for stamp_ns, data in said:
+        with suppress(ValueError):
+            line = decode("/log", stamp_ns, data)
+            assert isinstance(line, LogLine)
+            lines.append(line)
+    return tuple(lines)
 
 
 def recording_losses(metadata: dict[str, dict[str, str]]) -> dict[str, int]:

@@ -150,6 +150,28 @@ class OccupancyMap:
         self.cells.setflags(write=False)
 
 
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """Something that happened, in words: a device came, was lost, is back."""
+
+    stamp_ns: int
+    level: Literal["debug", "info", "warning", "error", "fatal"]
+    name: str  # who says it: "p3dx", "laser"
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceHealth:
+    """How a device stands: its link, and figures such as loss counters, value for name."""
+
+    stamp_ns: int
+    device: str
+    link: str  # "connected", "lost", ...: the last thing that happened to it
+    names: tuple[str, ...]
+    values: tuple[str, ...]  # as many
+
+
 SensorMessage = LaserScan | WheelOdometry | LaserMount | TruePose | RawBytes
 ResultMessage = PoseEstimate | KeyframeDecision | FactorRecord | LoopVerdict | OccupancyMap
-Message = SensorMessage | ResultMessage
+StatusMessage = LogLine | DeviceHealth
+Message = SensorMessage | ResultMessage | StatusMessage

@@ -17,6 +17,7 @@ from foxglove_schemas_protobuf import (
     FrameTransform_pb2,
     Grid_pb2,
     LaserScan_pb2,
+    Log_pb2,
     Odometry_pb2,
 )
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -75,6 +76,12 @@ _FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("second_score", "double"),
         ("chi_square", "double"),
     ),
+    "DeviceHealth": (
+        ("device", "string"),
+        ("link", "string"),
+        ("names", "string..."),
+        ("values", "string..."),
+    ),
 }
 
 _FOXGLOVE: dict[str, tuple[FileDescriptor, str]] = {
@@ -82,7 +89,9 @@ _FOXGLOVE: dict[str, tuple[FileDescriptor, str]] = {
     "Odometry": (Odometry_pb2.DESCRIPTOR, "PoseDetail"),
     "FrameTransform": (FrameTransform_pb2.DESCRIPTOR, "PoseDetail"),
     "Grid": (Grid_pb2.DESCRIPTOR, "GridDetail"),
+    "Log": (Log_pb2.DESCRIPTOR, ""),
 }
+"""Foxglove's message, and ours that goes with it; empty where theirs says it all."""
 
 
 def _own_file(name: str) -> FileDescriptorProto:
@@ -105,11 +114,16 @@ def _own_file(name: str) -> FileDescriptorProto:
     return file
 
 
+def _copy(source: FileDescriptor) -> FileDescriptorProto:
+    file = FileDescriptorProto()
+    source.CopyToProto(file)
+    return file
+
+
 def _extended_file(name: str) -> FileDescriptorProto:
     """Describe one of Foxglove's messages with our detail in its field `slam`."""
     source, detail = _FOXGLOVE[name]
-    file = FileDescriptorProto()
-    source.CopyToProto(file)
+    file = _copy(source)
     file.dependency.append(f"slam/v1/{detail}.proto")
     file.message_type[0].field.add(
         name="slam",
@@ -126,9 +140,7 @@ def _dependencies(source: FileDescriptor, into: dict[str, FileDescriptorProto]) 
     for needed in source.dependencies:
         _dependencies(needed, into)
         if needed.name not in into:
-            file = FileDescriptorProto()
-            needed.CopyToProto(file)
-            into[needed.name] = file
+            into[needed.name] = _copy(needed)
 
 
 def _files_of(name: str) -> dict[str, FileDescriptorProto]:
@@ -137,7 +149,7 @@ def _files_of(name: str) -> dict[str, FileDescriptorProto]:
     if name in _FOXGLOVE:
         source, detail = _FOXGLOVE[name]
         _dependencies(source, files)
-        for file in (_own_file(detail), _extended_file(name)):
+        for file in (_own_file(detail), _extended_file(name)) if detail else (_copy(source),):
             files[file.name] = file
     else:
         own = _own_file(name)
@@ -178,7 +190,7 @@ def _classes(names: Iterable[str]) -> Mapping[str, Any]:
     }
 
 
-OWN_NAMES = ("KeyframeDecision", "FactorRecord", "LoopVerdict")
+OWN_NAMES = ("KeyframeDecision", "FactorRecord", "LoopVerdict", "DeviceHealth")
 CLASSES = _classes((*_FOXGLOVE, *OWN_NAMES))
 
 

@@ -14,10 +14,12 @@ from google.protobuf.message import DecodeError
 
 from logs import foxglove, protos
 from logs.messages import (
+    DeviceHealth,
     FactorRecord,
     KeyframeDecision,
     LaserMount,
     LaserScan,
+    LogLine,
     LoopVerdict,
     Message,
     OccupancyMap,
@@ -77,15 +79,30 @@ def _own(topic: str, kind: Callable[..., Any]) -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
-        if name == "FactorRecord" and values["kind"] not in _FACTOR_KINDS:
-            raise ValueError("unknown kind of factor")
+        if flaw := _FLAWS.get(name, _no_flaw)(values):
+            raise ValueError(flaw)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
     return Channel(topic, name, encode, decode)
 
 
+def _no_flaw(values: dict[str, Any]) -> str:
+    return ""
+
+
+def _factor_flaw(values: dict[str, Any]) -> str:
+    return "" if values["kind"] in _FACTOR_KINDS else "unknown kind of factor"
+
+
+def _health_flaw(values: dict[str, Any]) -> str:
+    matched = len(values["names"]) == len(values["values"])
+    return "" if matched else "names and values of unequal number"
+
+
 _FACTOR_KINDS = ("prior", "odometry", "icp", "loop")
+_FLAWS = {"FactorRecord": _factor_flaw, "DeviceHealth": _health_flaw}
+"""What the fields of a message must not be, beside what the schema says."""
 
 _ALL = (
     Channel("/scan", "LaserScan", foxglove.encode_scan, foxglove.decode_scan),
@@ -97,6 +114,8 @@ _ALL = (
     _own("/keyframe", KeyframeDecision),
     _own("/factor", FactorRecord),
     _own("/loop", LoopVerdict),
+    Channel("/log", "Log", foxglove.encode_log, foxglove.decode_log),
+    _own("/diagnostics", DeviceHealth),
     _raw("/raw/p3dx/rx", "p3dx", "rx"),
     _raw("/raw/p3dx/tx", "p3dx", "tx"),
     _raw("/raw/laser/rx", "laser", "rx"),
@@ -116,6 +135,8 @@ _TOPICS: dict[type, str] = {
     KeyframeDecision: "/keyframe",
     FactorRecord: "/factor",
     LoopVerdict: "/loop",
+    LogLine: "/log",
+    DeviceHealth: "/diagnostics",
 }
 
 

@@ -27,7 +27,7 @@ from slam.usable import flaw
 LOG_POSES = {"odometry": "/odom", "truth": "/truth"}
 RUN_POSES = ("trajectory", "keyframes", "odometry")
 _CARMEN_TOPICS = ("/scan", "/odom", "/tf")
-_ROS_TOPICS = ("/scan", "/odom", "/tf", "/truth", "/pose", "/map")
+_ROS_TOPICS = ("/scan", "/odom", "/tf", "/truth", "/pose", "/map", "/log", "/diagnostics")
 _RUN_LOG = "run.mcap"
 
 _Received = tuple[int | None, Message]

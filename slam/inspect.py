@@ -41,6 +41,10 @@ def _lines(info: LogInfo) -> Iterator[str]:
         if values:
             yield f"  {shown(name)}:"
             yield from _some(f"    {shown(k)}: {shown(v)}" for k, v in sorted(values.items()))
+    if info.lines:
+        yield "  said last:"
+    for said in info.lines:
+        yield f"    {_utc(said.stamp_ns)} {said.level}: {shown(said.name)} {shown(said.text)}"
     yield from _some(
         f"  attachment: {shown(a.name)}, {a.bytes} bytes of {shown(a.media_type)}"
         for a in info.attachments

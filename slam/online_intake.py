@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 from drivers.connection import DeviceEvent, Received
 from logs.messages import LaserScan, Message, RawBytes
 from logs.schemas import topic_of
+from slam.device_notes import line_of
 
 
 class Taken(NamedTuple):
@@ -53,8 +54,7 @@ class Intake:
         receipt_ns, message = received
         with self._lock:
             if isinstance(message, DeviceEvent):
-                key = f"{message.stamp_ns} {message.device} {message.kind}"
-                self._log.add_metadata("devices", {key: message.detail})
+                self._log.put(line_of(message))
                 self._events.put(message)
                 return
             if not self._log.put(message, receipt_ns):

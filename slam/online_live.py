@@ -14,6 +14,7 @@ from drivers.ports import Port, open_port
 from drivers.reader import DeviceReader
 from logs.messages import LaserScan, WheelOdometry
 from logs.recorder import Recorder
+from slam.device_notes import clock_model, health, identity
 from slam.errors import RunError
 from slam.offline import feed
 from slam.online_intake import Intake, Taken
@@ -25,7 +26,7 @@ from slam.watcher import Nobody, Watcher
 
 _LOOK_S = 0.1  # how soon a request to stop is noticed
 _DISK_S = 0.5  # s between two looks at whether recording has ended
-_NOTE_S = 5.0  # between two notes of the losses in the log
+_NOTE_S = 5.0  # between two notes of losses and devices in the log
 
 
 class LiveRun:
@@ -63,7 +64,7 @@ class LiveRun:
         self._said: dict[str, str] = {}
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
         self._age_s = 0.0
-        self._noted: dict[str, int] = {}
+        self._noted: dict[str, dict[str, str]] = {}  # metadata by its name
         self._noted_ns = self._told_ns = self._began_ns = self._looked_ns = 0
         self._told_scans = 0
 
@@ -93,6 +94,7 @@ class LiveRun:
             self._tell_if_due(tell, period_s)
         if self.slam is not None:
             self.slam.finish_input()
+        self._news()
         self._note(self._clock())
 
     def _use(self, received: Taken | None) -> None:
@@ -183,9 +185,14 @@ class LiveRun:
         }
 
     def _note(self, now: int) -> None:
-        """Write the losses into the log itself, if there are new ones."""
+        """Write into the log itself who the devices are, how they stand, and what was lost."""
         self._noted_ns = now
-        lost = self.losses()
-        if lost != self._noted:
-            self._noted = lost
-            self._recorder.add_metadata("lost", {cause: str(n) for cause, n in lost.items()})
+        notes = {"lost": {cause: str(n) for cause, n in self.losses().items()}}
+        for session in (self.robot, self.laser):
+            device, decoder = session.device, session.decoder
+            self._recorder.put(health(now, device, self._links[device], decoder))
+            notes[device] = identity(decoder) | clock_model(decoder)
+        for name, values in notes.items():
+            if values != self._noted.get(name, {}):
+                self._noted[name] = values
+                self._recorder.add_metadata(name, values)

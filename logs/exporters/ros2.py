@@ -9,6 +9,8 @@
 | all PoseEstimates | /path | nav_msgs/Path, once at the end |
 | OccupancyMap | /map | nav_msgs/OccupancyGrid |
 | TruePose | /truth | nav_msgs/Odometry, frame `world` |
+| LogLine | /rosout | rcl_interfaces/Log |
+| DeviceHealth | /diagnostics | diagnostic_msgs/DiagnosticArray |
 
 Messages of other kinds have no standard in ROS and are left out, counted.  Static data is
 offered as "transient local", so that `ros2 bag play` gives it to late subscribers as well.
@@ -27,8 +29,10 @@ from typing import Any
 from logs.errors import LogError
 from logs.exporters import ros2_messages as ros
 from logs.messages import (
+    DeviceHealth,
     LaserMount,
     LaserScan,
+    LogLine,
     Message,
     OccupancyMap,
     PoseEstimate,
@@ -48,6 +52,8 @@ _TYPES = {
     "/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/path": "nav_msgs/msg/Path",
     "/map": "nav_msgs/msg/OccupancyGrid",
+    "/rosout": "rcl_interfaces/msg/Log",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
 
 
@@ -138,6 +144,10 @@ class _Bag:
             self._take_estimate(receipt, message)
         elif isinstance(message, OccupancyMap):
             self._write("/map", receipt, ros.occupancy(types, message))
+        elif isinstance(message, LogLine):
+            self._write("/rosout", receipt, ros.log_line(types, message))
+        elif isinstance(message, DeviceHealth):
+            self._write("/diagnostics", receipt, ros.diagnostics(types, message))
         else:
             self.skipped[f"{topic_of(message)}: has no standard type in ROS"] += 1
 

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from logs.messages import (
+    DeviceHealth,
     LaserMount,
     LaserScan,
+    LogLine,
     OccupancyMap,
     PoseEstimate,
     TruePose,
@@ -135,6 +137,45 @@ def mount(types: Types, message: LaserMount) -> Any:
     """Return the static transform of the laser."""
     at = (message.x, message.y, message.theta)
     return transform(types, message.stamp_ns, "base_link", "laser", at)
+
+
+def log_line(types: Types, message: LogLine) -> Any:
+    """Return an rcl_interfaces/Log; its levels are 10 for DEBUG to 50 for FATAL."""
+    kind = types["rcl_interfaces/msg/Log"]
+    levels = {
+        "debug": kind.DEBUG, "info": kind.INFO, "warning": kind.WARN, "error": kind.ERROR,
+        "fatal": kind.FATAL,
+    }  # fmt: skip
+    return kind(
+        stamp=time_of(types, message.stamp_ns),
+        level=levels[message.level],
+        name=message.name,
+        msg=message.text,
+        file="",
+        function="",
+        line=0,
+    )
+
+
+def diagnostics(types: Types, message: DeviceHealth) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray of one device; lost or failed is an error."""
+    kind, pair = (
+        types["diagnostic_msgs/msg/DiagnosticStatus"],
+        types["diagnostic_msgs/msg/KeyValue"],
+    )
+    status = kind(
+        level=kind.ERROR if message.link in ("lost", "failed") else kind.OK,
+        name=message.device,
+        message=message.link,
+        hardware_id=message.device,
+        values=[
+            pair(key=name, value=value)
+            for name, value in zip(message.names, message.values, strict=True)
+        ],
+    )
+    return types["diagnostic_msgs/msg/DiagnosticArray"](
+        header=header(types, message.stamp_ns, ""), status=[status]
+    )
 
 
 def pose(types: Types, at: Pose) -> Any:

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from logs.messages import (
+    DeviceHealth,
     FactorRecord,
     KeyframeDecision,
     LaserMount,
     LaserScan,
+    LogLine,
     LoopVerdict,
     OccupancyMap,
     PoseEstimate,
@@ -66,6 +68,16 @@ messages = st.one_of(
     ),
     st.builds(
         LoopVerdict, stamps, integers, integers, st.booleans(), texts, numbers, numbers, numbers
+    ),
+    st.builds(
+        LogLine, stamps, st.sampled_from(["debug", "info", "warning", "error", "fatal"]), texts,
+        texts,
+    ),
+    st.builds(
+        lambda stamp, device, link, pairs: DeviceHealth(
+            stamp, device, link, tuple(n for n, _ in pairs), tuple(v for _, v in pairs)
+        ),
+        stamps, texts, texts, st.lists(st.tuples(texts, texts), max_size=4),
     ),
     st.builds(OccupancyMap, stamps, numbers, numbers, numbers, cells),
 )  # fmt: skip

@@ -20,9 +20,11 @@ from logs.exporters.ros2 import write_ros2
 from logs.importers.detect import read_any
 from logs.importers.rosbag import read_rosbag
 from logs.messages import (
+    DeviceHealth,
     FactorRecord,
     LaserMount,
     LaserScan,
+    LogLine,
     Message,
     OccupancyMap,
     PoseEstimate,
@@ -51,6 +53,10 @@ def a_run(n: int = 20) -> list[Message]:
         ]
     cells = rng.integers(-1, 101, (7, 5)).astype(np.int8)
     factor = FactorRecord(START, "icp", 0, 1, 0.0, 0.0, 0.0, (0.0,) * 9)
+    messages += [
+        LogLine(START, "error", "laser", "lost: no scan for 1.0 s"),
+        DeviceHealth(START, "laser", "lost", ("scans", "clock_drift_ppm"), ("20", "-3")),
+    ]
     return [*messages, OccupancyMap(START, 0.05, -1.0, -2.0, cells), factor]
 
 
@@ -63,7 +69,7 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
     export = write_ros2(tmp_path / "bag", received(run))
     assert export.written == {
         "/scan": 20, "/odom": 20, "/truth": 20, "/tf": 40, "/tf_static": 1, "/pose": 20,
-        "/map": 1, "/path": 1,
+        "/map": 1, "/path": 1, "/rosout": 1, "/diagnostics": 1,
     }  # fmt: skip
     assert export.skipped == {"/factor: has no standard type in ROS": 1}
     assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag.mcap", "metadata.yaml"]
@@ -75,6 +81,8 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
         "/pose": [m for m in run if isinstance(m, PoseEstimate)],
         "/map": [m for m in run if isinstance(m, OccupancyMap)],
         "/tf_static": [m for m in run if isinstance(m, LaserMount)],
+        "/rosout": [m for m in run if isinstance(m, LogLine)],
+        "/diagnostics": [m for m in run if isinstance(m, DeviceHealth)],
     }
     made = {
         "/scan": lambda m: ros.scan(types, m, 0.0 if m.stamp_ns == START else 0.1),
@@ -83,6 +91,8 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
         "/pose": lambda m: ros.estimate(types, m),
         "/map": lambda m: ros.occupancy(types, m),
         "/tf_static": lambda m: ros.mount(types, m),
+        "/rosout": lambda m: ros.log_line(types, m),
+        "/diagnostics": lambda m: ros.diagnostics(types, m),
     }
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == sum(export.written.values())
@@ -104,6 +114,14 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
         (path,) = got["/path"]
         read = reader.deserialize(path, "nav_msgs/msg/Path")
         assert len(read.poses) == 20
+        line = reader.deserialize(got["/rosout"][0], "rcl_interfaces/msg/Log")
+        assert (line.level, line.name, line.msg) == (40, "laser", "lost: no scan for 1.0 s")
+        array = reader.deserialize(got["/diagnostics"][0], "diagnostic_msgs/msg/DiagnosticArray")
+        (status,) = array.status
+        assert (status.level, status.name, status.message) == (2, "laser", "lost")
+        assert [(v.key, v.value) for v in status.values] == [
+            ("scans", "20"), ("clock_drift_ppm", "-3"),
+        ]  # fmt: skip
 
 
 def test_transforms_lead_from_map_to_laser(tmp_path: Path):

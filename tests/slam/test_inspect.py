@@ -8,7 +8,7 @@ import pytest
 from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import LogWriter
-from logs.messages import LaserScan
+from logs.messages import LaserScan, LogLine
 from slam.errors import RunError
 from slam.inspect import describe_log, examine_log
 
@@ -55,6 +55,11 @@ def test_info_lists_channels_gaps_losses_identity_and_attachments(gap):
 def test_no_text_of_a_file_reaches_the_terminal_as_it_is(gap, drive, tmp_path):
     assert "\x1b" not in describe_log(gap)
     assert "source: \\x1b[31mred\\nline" in describe_log(gap)
+    spoken = [LogLine(0, "error", ESCAPE, "x" * length) for length in (5, 90_000)]
+    told = describe_log(write(tmp_path / "said.mcap", spoken * 60))
+    assert "1970-01-01 00:00:00.000 UTC error: \\x1b[31mred\\nline xxxxx" in told
+    assert told.count("error: ") == 20  # the last, without those that are too long
+    assert "\x1b" not in told
     many = {f"{ESCAPE}{k}": "x" * 10_000 for k in range(1000)}
     told = describe_log(write(tmp_path / "many.mcap", drive, **{ESCAPE: many}))
     assert "\x1b" not in told

@@ -20,7 +20,7 @@ from drivers.simulators.servers import PtyEndpoint, SimulatorServer
 from drivers.simulators.sweep import Sweeper
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import open_log
-from logs.messages import LaserScan, RawBytes, WheelOdometry
+from logs.messages import DeviceHealth, LaserScan, LogLine, RawBytes, WheelOdometry
 from slam.config import load_config
 from slam.errors import RunError
 from slam.offline import SlamError
@@ -114,9 +114,21 @@ def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
     assert outages == (2 if faults is FAULTS[2] else 0)
     with open_log(out / "run.mcap") as log:
         counts = log.counts()
-        events = " ".join(log.metadata()["devices"])
+        noted = log.metadata()
+        said = list(log.messages(["/log", "/diagnostics"]))
+    events = " ".join(f"{m.name} {m.text}" for m in said if isinstance(m, LogLine))
+    last = {m.device: m for m in said if isinstance(m, DeviceHealth)}
     assert counts["/scan"] == summary["devices"]["laser"]["scans"]
     assert min(counts[f"/raw/{d}/{way}"] for d in ("p3dx", "laser") for way in ("rx", "tx")) > 0
+    for name, figures in summary["devices"].items():
+        assert last[name].link == "closed"
+        shown = dict(zip(last[name].names, last[name].values, strict=True))
+        assert {k: int(shown[k]) for k in figures if k in shown}.items() <= figures.items()
+    assert noted["laser"]["SERI"] == "H0000001"
+    assert noted["laser"]["steps_per_turn"] == "1440"
+    assert abs(float(noted["laser"]["clock_offset_s"]) - time.time()) < 3600
+    assert noted["p3dx"]["subclass"] == "p3dx-sh"
+    assert noted["p3dx"]["metres"] == "0.001"
     assert "laser connected" in events
     assert "p3dx closed" in events
     assert ("p3dx lost" in events) == (faults is FAULTS[2])

@@ -1,6 +1,6 @@
-"""Writes the golden file of today's schema; run once per schema version, never again.
+"""Writes a golden file of today's schema; run once when channels or fields are added.
 
-    python tests/logs/golden/make_golden.py tests/logs/golden/schema1.mcap
+    python tests/logs/golden/make_golden.py tests/logs/golden/schema1-devices.mcap
 
 Old golden files stay: they prove that logs of that version can still be read.
 """
@@ -18,8 +18,10 @@ from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import LogWriter
 from logs.messages import (
+    DeviceHealth,
     FactorRecord,
     KeyframeDecision,
+    LogLine,
     LoopVerdict,
     Message,
     OccupancyMap,
@@ -57,6 +59,8 @@ def golden_messages() -> list[Message]:
         FactorRecord(stamp, "loop", 0, 1, 0.5, -0.1, 0.1, COVARIANCE, False, "Prüfung: χ² zu groß"),
         LoopVerdict(stamp, 0, 1, False, "second place", 0.8, 0.75, float("nan")),
         OccupancyMap(stamp, 0.05, -1.0, -2.0, cells),
+        LogLine(stamp, "warning", "laser", "lost: no scan for 1.0 s \N{EM DASH} Gerät aus?"),
+        DeviceHealth(stamp, "laser", "lost", ("scans", "drift_ppm"), ("17", "-3.5")),
     ]
 
 
