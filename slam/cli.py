@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from slam.cli_batch import tune
 from slam.cli_online import drivers_app, online
 
 app = typer.Typer(
@@ -22,6 +23,7 @@ app = typer.Typer(
 )
 
 app.command()(online)
+app.command()(tune)
 app.add_typer(drivers_app, name="drivers")
 
 # `readable=False`: whoever opens a file says in one line why it cannot be read.
