@@ -79,7 +79,11 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_log import bench_log
 
         return bench_log(quick, out)
-    known = ("benchmark", "matcher", "outliers", "online", "log")
+    if name == "paper":
+        from slam.bench_paper import bench_paper
+
+        return bench_paper(out, quick, say)
+    known = ("benchmark", "matcher", "outliers", "online", "log", "paper")
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
 

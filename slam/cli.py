@@ -251,7 +251,7 @@ def demo(
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers, online or log")],
+    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers, online, log, paper")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
         Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")
