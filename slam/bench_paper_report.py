@@ -126,10 +126,10 @@ def _introduction(meta: Mapping[str, Any]) -> list[str]:
         "closed. Figures are medians over the seeds, in brackets their bootstrapped 95 % interval.",
         "",
         "`sdp-pe` has its intervals stretched, all alike, so as to use the paper's 23 scans; by",
-        "how much was set on other beds. `sdp-pe-shipped` takes them in metres as they ship. `even`",
-        "and `even-shipped` are the controls: as many scans, equally spaced. Only where SDP-PE",
-        "beats its control did it help to look at the walls; what it gains over the intervals 1 to",
-        "20 beyond that comes from the number of scans alone.",
+        "how much was set on other beds. `sdp-pe-shipped` takes them in metres as they ship.",
+        "`even` and `even-shipped` are the controls: as many scans, equally spaced. Only where",
+        "SDP-PE beats its control did it help to look at the walls; what it gains over the",
+        "intervals 1 to 20 beyond that comes from the number of scans alone.",
     ]
 
 
