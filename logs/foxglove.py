@@ -146,11 +146,18 @@ def decode_pose(stamp_ns: int, data: bytes) -> PoseEstimate:
 
 def encode_mount(message: LaserMount) -> bytes:
     """Encode `base_T_laser` as a transform of the tree that viewers keep."""
-    out = _Transform(parent_frame_id="base", child_frame_id="laser")
-    _set_time(out.timestamp, message.stamp_ns)
-    out.translation.x, out.translation.y = message.x, message.y
-    _set_heading(out.rotation, message.theta)
-    out.slam.theta = message.theta
+    return encode_transform(message.stamp_ns, "base", "laser", message.x, message.y, message.theta)
+
+
+def encode_transform(
+    stamp_ns: int, parent: str, child: str, x: float, y: float, theta: float
+) -> bytes:
+    """Encode `parent_T_child`; of these our logs hold the mount alone."""
+    out = _Transform(parent_frame_id=parent, child_frame_id=child)
+    _set_time(out.timestamp, stamp_ns)
+    out.translation.x, out.translation.y = x, y
+    _set_heading(out.rotation, theta)
+    out.slam.theta = theta
     payload: bytes = out.SerializeToString()
     return payload
 

@@ -12,6 +12,14 @@ import typer
 
 from slam.cli_batch import tune
 from slam.cli_online import drivers_app, online
+from slam.cli_view import (
+    LOCAL,
+    PORT,
+    AddressOption,
+    FoxgloveOption,
+    PortOption,
+    TokenOption,
+)
 
 app = typer.Typer(
     name="slam",
@@ -113,15 +121,25 @@ def replay(
     rate: Annotated[
         float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as it goes.")
     ] = 0.0,
+    view: Annotated[
+        bool, typer.Option("--view", help="Serve a page that shows the map grow.")
+    ] = False,
+    view_address: AddressOption = LOCAL,
+    view_port: PortOption = PORT,
+    view_token: TokenOption = "",
+    foxglove: FoxgloveOption = False,
 ) -> None:
     """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.config import load_config
+    from slam.live.viewers import ViewOptions, watched
     from slam.progress import stage_progress
     from slam.replay import replay as run_replay
 
     settings = load_config(config, set_ or [])
-    with stage_progress(log) as progress:
-        summary = run_replay(log, out, settings, progress, from_ is _From.raw, rate)
+    options = ViewOptions(view, view_address, view_port, view_token, foxglove)
+    with watched(options, _say) as viewers, stage_progress(log) as progress:
+        raw = from_ is _From.raw
+        summary = run_replay(log, out, settings, progress, raw, rate, viewers)
     _tell_summary(out, summary)
     _exit_on_loss(summary["lost"], "lost")
 
@@ -359,6 +377,7 @@ _KNOWN = {
     "slam.config.ConfigError",
     "slam.errors.ReportError",
     "slam.errors.RunError",
+    "slam.errors.ViewError",
     "slam.offline.SlamError",
 }
 

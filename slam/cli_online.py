@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slam.cli_view import (
+    LOCAL,
+    PORT,
+    AddressOption,
+    FoxgloveOption,
+    PortOption,
+    TokenOption,
+)
+
 if TYPE_CHECKING:
     from slam.online_status import Status
 
@@ -29,21 +38,27 @@ def online(
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
     ] = None,
+    view: Annotated[bool, typer.Option(help="Serve a page that shows the map grow.")] = True,
+    view_address: AddressOption = LOCAL,
+    view_port: PortOption = PORT,
+    view_token: TokenOption = "",
+    foxglove: FoxgloveOption = False,
 ) -> None:
     """Record and map on the robot until Ctrl-C. The motors are never touched."""
+    from slam.live.viewers import ViewOptions, watched
     from slam.online import run_online
     from slam.robot_config import load_robot
     from slam.stop_request import StopRequest
 
     settings = load_robot(config, set_ or [])
-    terminal = sys.stderr.isatty()
-    with StopRequest() as request:
+    progress = _Progress(sys.stderr.isatty())
+    options = ViewOptions(view, view_address, view_port, view_token, foxglove)
+    with StopRequest() as request, watched(options, _say, needed=False) as viewers:
         timer = _Timer(seconds)
         summary = run_online(
             settings, out, record_only=record_only,
             stop=lambda: request() or timer.over(),
-            tell=lambda status: _progress(status, terminal),
-            say=_say, period_s=1.0 if terminal else _QUIET_S,
+            tell=progress, say=_say, watcher=viewers,
         )  # fmt: skip
     for cause, count in summary["lost"].items():
         _say(f"  lost: {count} {cause}")
@@ -90,12 +105,19 @@ class _Timer:
         return self._seconds > 0 and time.monotonic() - self._began >= self._seconds
 
 
-def _progress(status: Status, terminal: bool) -> None:
+class _Progress:
     """News stay; the line of figures is rewritten on a terminal, elsewhere there is one more."""
-    erase = "\r\x1b[K" if terminal else ""
-    for text in status.news:
-        _say(f"{erase}{text}")
-    typer.echo(f"{erase}{status.line()}", err=True, nl=not terminal)
+
+    def __init__(self, terminal: bool) -> None:
+        self._terminal, self._due_s = terminal, _QUIET_S
+
+    def __call__(self, status: Status) -> None:
+        erase = "\r\x1b[K" if self._terminal else ""
+        for text in status.news:
+            _say(f"{erase}{text}")
+        if self._terminal or status.seconds >= self._due_s:
+            self._due_s = status.seconds + _QUIET_S
+            typer.echo(f"{erase}{status.line()}", err=True, nl=not self._terminal)
 
 
 def _say(text: str) -> None:

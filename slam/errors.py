@@ -9,3 +9,7 @@ class ReportError(Exception):
 
 class RunError(Exception):
     """A RUN directory cannot be made or read; the message says which and what to do."""
+
+
+class ViewError(Exception):
+    """A live view cannot be served; the message says where and what to do."""

@@ -101,12 +101,17 @@ def timed_run(
     """Run offline; also the figures of `summary.json`'s `timing`."""
     watch, step, looker = Stopwatch(), TimedStep(), watcher or Nobody()
 
+    def told(stage: str, done: float) -> None:
+        looker.stage(stage)
+        if progress is not None:
+            progress(stage, done)
+
     def shown(slam: Slam, message: Message) -> None:
         step(slam, message)
         looker.show(slam, message)
 
     wall, cpu = time.perf_counter(), time.process_time()
-    result = run_offline(source, config, watch, progress, shown)
+    result = run_offline(source, config, watch, told, shown)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     looker.finish(result)
     stamps = result.trajectory.stamps_ns
