@@ -18,8 +18,8 @@ from pathlib import Path
 from logs.exporters.carmen import write_carmen
 from logs.exporters.csv import write_csv
 from logs.exporters.ros2 import write_ros2
-from logs.mcap_log import open_log
 from logs.messages import Message, TruePose, WheelOdometry
+from logs.parts import Recording
 from slam.errors import RunError
 from slam.trajectory import Trajectory, read_tum, sorted_trajectory, write_tum
 from slam.usable import flaw
@@ -116,9 +116,9 @@ def _received(
 
 
 def _logged(log: Path, topics: Collection[str] | None, done: Exported) -> Iterator[_Received]:
-    with open_log(log) as opened:
-        yield from opened.receipts(topics)
-        done.lost.update(opened.skipped)
+    recording = Recording(log)
+    yield from recording.receipts(topics)
+    done.lost.update(recording.skipped)
 
 
 def _wheels(odometry: Trajectory) -> Iterator[_Received]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from logs.errors import LogError
-from logs.mcap_log import open_log
+from logs.parts import Recording
 from slam.offline import Progress as Tell
 
 EVERY = 200  # messages between two updates: drawing must not cost time
@@ -24,8 +24,7 @@ def stage_progress(log: Path) -> Iterator[Tell]:
         yield lambda stage, done: None
         return
     try:
-        with open_log(log) as opened:
-            counts = opened.counts()
+        counts = Recording(log).counts()
     except LogError:  # the run itself will say it better
         counts = {}
     totals = {"tracking": sum(counts.values()), "localising": counts.get("/scan", 0)}

@@ -16,8 +16,8 @@ from typing import Any
 from drivers.hokuyo_decoder import HokuyoDecoder
 from drivers.pioneer_decoder import MODELS, PioneerDecoder
 from logs.errors import LogError
-from logs.mcap_log import Log
 from logs.messages import Message, RawBytes
+from logs.parts import Recording
 from slam.online_status import device_losses
 
 SETTINGS = "robot.json"
@@ -25,19 +25,24 @@ _RAW_TOPICS = ("/raw/p3dx/rx", "/raw/p3dx/tx", "/raw/laser/rx", "/raw/laser/tx")
 _AS_LOGGED = ("/tf", "/truth")
 
 
-def messages_from_raw(log: Log, lost: dict[str, int]) -> Iterator[Message]:
+def messages_from_raw(log: Recording, lost: dict[str, int]) -> Iterator[Message]:
     """Yield the messages that SLAM is for; each comes where the bytes are that complete it.
 
     Channels have the messages that the drivers logged on them, in the same order.  A scan
     and an odometry message that came at the same moment may change places.
 
     Args:
-        log: an open log with raw channels.
+        log: a recording with raw channels, from its first part on.
         lost: at the end, what the decoders could not use is entered here, per cause.
 
     Raises:
-        LogError: there are no raw bytes, or the settings cannot be read.
+        LogError: there are no raw bytes, or their beginning, or the settings cannot be read.
     """
+    if log.begins_late:
+        raise LogError(
+            f"{log.path}: is a later part of a recording, and what the devices said of themselves "
+            "is in the first: name that, or replay without `--from raw`"
+        )
     robot, laser = decoders(log)
     any_bytes = False
     for message in log.messages((*_RAW_TOPICS, *_AS_LOGGED)):
@@ -52,7 +57,7 @@ def messages_from_raw(log: Log, lost: dict[str, int]) -> Iterator[Message]:
     lost.update(device_losses("laser", laser.counters()))
 
 
-def decoders(log: Log) -> tuple[PioneerDecoder, HokuyoDecoder]:
+def decoders(log: Recording) -> tuple[PioneerDecoder, HokuyoDecoder]:
     """Return decoders set up as they were when the log was recorded.
 
     Raises:

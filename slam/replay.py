@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from frontend.matching import Prior, Reference, match
-from logs.mcap_log import open_log
 from logs.messages import Message
+from logs.parts import Recording
 from slam.config import SlamConfig
 from slam.offline import Progress, Result, run_offline
 from slam.pacing import paced
@@ -53,6 +53,8 @@ def replay(
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
 
+    Of a recording in several parts, those behind the named one are taken along.
+
     With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
     of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
     the results are the same, and so they are with a `watcher`.
@@ -67,14 +69,14 @@ def replay(
 
     def source() -> Iterable[Message]:
         pace = next(rates)
-        with open_log(log) as opened:
-            messages = (
-                messages_from_raw(opened, skipped) if from_raw else opened.messages(SLAM_TOPICS)
-            )
-            yield from paced(messages, pace) if pace else messages
-            skipped.update(opened.skipped)
+        messages = (
+            messages_from_raw(recording, skipped) if from_raw else recording.messages(SLAM_TOPICS)
+        )
+        yield from paced(messages, pace) if pace else messages
+        skipped.update(recording.skipped)
 
-    source_sha256 = file_sha256(log)
+    recording = Recording(log)
+    source_sha256 = file_sha256(*recording.files)
     with new_run(out) as partial:
         result, timing = timed_run(source, config, progress, watcher)
         identity = {
@@ -181,13 +183,14 @@ def summarise(
     }
 
 
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file; empty if it cannot be read (opening it says why)."""
+def file_sha256(*paths: Path) -> str:
+    """SHA-256 of files one behind the other; empty if one cannot be read (opening it says why)."""
     digest = hashlib.sha256()
     try:
-        with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+        for path in paths:
+            with path.open("rb") as file:
+                while block := file.read(1 << 20):
+                    digest.update(block)
     except OSError:
         return ""
     return digest.hexdigest()

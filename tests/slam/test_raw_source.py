@@ -23,6 +23,8 @@ from drivers.simulators.worlds import scenario
 from logs.errors import LogError
 from logs.mcap_log import LogWriter, open_log
 from logs.messages import LaserScan, WheelOdometry
+from logs.part_writer import PartWriter, RotationConfig
+from logs.parts import Recording
 from logs.schemas import encode, topic_of
 from slam.config import load_config
 from slam.raw_source import decoders, messages_from_raw
@@ -103,8 +105,7 @@ def test_raw_bytes_give_the_logged_messages_to_the_last_byte(recording):
     lost = {}
     with open_log(recording) as log:
         decoded = channels(log.messages(SLAM_TOPICS))
-    with open_log(recording) as log:
-        anew = channels(messages_from_raw(log, lost))
+    anew = channels(messages_from_raw(Recording(recording), lost))
     assert anew == decoded
     assert len(decoded["/scan"]) > 100
     assert len(decoded["/odom"]) > 50
@@ -138,22 +139,73 @@ def log_with(path, settings, name="robot.json"):
 )  # fmt: skip
 def test_settings_that_cannot_be_read_are_refused(tmp_path, settings):
     path = log_with(tmp_path / "x.mcap", settings)
-    with open_log(path) as log, pytest.raises(LogError, match=r"robot\.json cannot be read"):
-        decoders(log)
+    with pytest.raises(LogError, match=r"robot\.json cannot be read"):
+        decoders(Recording(path))
 
 
 def test_a_reach_without_limit_and_the_robots_own_model(tmp_path):
     settings = json.dumps({"robot": {"model": "auto"}, "laser": {"reach_m": None}}).encode()
     for name in ("robot.json", "other.json"):
-        with open_log(log_with(tmp_path / "x.mcap", settings, name)) as log:
-            robot, laser = decoders(log)
-            assert robot.model is None
-            assert laser._reach_m == math.inf
+        log = log_with(tmp_path / "x.mcap", settings, name)
+        robot, laser = decoders(Recording(log))
+        assert robot.model is None
+        assert laser._reach_m == math.inf
 
 
 def test_a_log_without_raw_bytes_says_so(tmp_path):
     with LogWriter(tmp_path / "x.mcap") as log:
         log.write(WheelOdometry(EPOCH_NS, 0.0, 0.0, 0.0))
         log.write(LaserScan(EPOCH_NS, 0.0, 0.1, np.ones(9, dtype=np.float32), 0.0, 30.0))
-    with open_log(tmp_path / "x.mcap") as log, pytest.raises(LogError, match="no raw bytes"):
-        list(messages_from_raw(log, {}))
+    with pytest.raises(LogError, match="no raw bytes"):
+        list(messages_from_raw(Recording(tmp_path / "x.mcap"), {}))
+
+
+@pytest.fixture
+def parts(recording, tmp_path):
+    """The same recording in files of a quarter of its size."""
+    rotation = RotationConfig(bytes=recording.stat().st_size // 4)
+    with open_log(recording) as log:
+        writer = PartWriter(tmp_path / "part.mcap", {"id": "1"}, rotation)
+        for attached in log.attachments():
+            writer.add(attached)
+        for k, (receipt_ns, message) in enumerate(log.receipts()):
+            writer.write(message, receipt_ns)
+            if k % 100 == 0:
+                writer.tick()
+        writer.close()
+    assert len(writer.files) >= 3
+    return writer.files
+
+
+def test_a_recording_in_parts_is_the_same_run_from_decoded_and_from_raw(recording, parts, tmp_path):
+    config, lost = load_config(None), {}
+    whole = channels(Recording(recording).messages(SLAM_TOPICS))
+    assert channels(Recording(parts[0]).messages(SLAM_TOPICS)) == whole
+    assert channels(messages_from_raw(Recording(parts[0]), lost)) == whole
+    summary = replay(parts[0], tmp_path / "parts", config, from_raw=True)
+    replay(recording, tmp_path / "whole", config)
+    for name in ("trajectory.tum", "graph.g2o", "map.pgm"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    blocks = b"".join(path.read_bytes() for path in parts)
+    assert summary["log_sha256"] == hashlib.sha256(blocks).hexdigest()
+
+
+def test_a_later_part_serves_alone_but_not_its_raw_bytes(parts):
+    later = Recording(parts[1])
+    kinds = {topic_of(m) for m in later.messages(SLAM_TOPICS)}
+    assert kinds == {"/scan", "/odom", "/tf"}
+    with pytest.raises(LogError, match="later part"):
+        list(messages_from_raw(later, {}))
+
+
+def test_a_missing_part_is_a_loss_and_foreign_files_are_no_parts(parts):
+    parts[1].unlink()
+    with LogWriter(parts[0].with_name("part_999.mcap"), {"id": "2", "part": "999"}) as log:
+        log.write(WheelOdometry(EPOCH_NS, 0.0, 0.0, 0.0))
+    rest = Recording(parts[0])
+    assert rest.files == [parts[0], *parts[2:]]
+    list(rest.messages())
+    assert rest.skipped == {"part 1 is missing": 1}
+    assert Recording(parts[0].with_name("part_999.mcap")).files == [
+        parts[0].with_name("part_999.mcap")
+    ]
