@@ -14,14 +14,14 @@ import numpy as np
 
 from drivers.connection import steady_utc
 from drivers.ports import Port, open_port
-from logs.mcap_log import open_log
 from logs.messages import Message
+from logs.parts import Recording
 from logs.recorder import Recorder
 from logs.recording import RecordingStatus
 from slam.errors import RunError
 from slam.offline import Result, SlamError, finish
 from slam.online_live import LiveRun
-from slam.online_run import RECORDING, add_results, finish_folder, online_run
+from slam.online_run import RECORDING, add_results, finish_folder, log_name, online_run
 from slam.online_status import Status
 from slam.online_warmup import warm_up
 from slam.pipeline import Slam
@@ -77,8 +77,9 @@ def run_online(
             say("getting ready (kernels compile the first time)")
             warm_up(config.slam)
         clock = steady_utc()
-        recording = config.recording.recorder(recompress=record_only)
-        with Recorder(folder / RECORDING, identity, recording) as recorder:
+        kept = record_only or config.recording.rotates
+        how = config.recording.recorder(recompress=kept)
+        with Recorder(folder / RECORDING, identity, how) as recorder:
             recorder.add_attachment(
                 "config.json", config.slam.model_dump_json(indent=2).encode(), "application/json"
             )
@@ -92,13 +93,14 @@ def run_online(
         status = recorder.status()
         summary = _account(live, status, identity)
         say(f"recorded {status.written} messages")
-        if not (folder / RECORDING).exists():
+        if not status.files:
             raise RunError(status.stopped)
         try:
             if slam is not None:
                 say("finishing the map")
                 watcher.stage("finishing the map")
-                summary = _map(folder, live, slam, watch, identity, summary, began, watcher)
+                recording = Recording(status.files[0])
+                summary = _map(recording, live, slam, watch, identity, summary, began, watcher)
         finally:
             finish_folder(folder, summary, config.slam)
     if status.stopped:
@@ -107,7 +109,7 @@ def run_online(
 
 
 def _map(
-    folder: Path, live: LiveRun, slam: Slam, watch: Stopwatch, identity: Mapping[str, str],
+    recording: Recording, live: LiveRun, slam: Slam, watch: Stopwatch, identity: Mapping[str, str],
     account: dict[str, Any], began: tuple[float, float], watcher: Watcher,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
@@ -115,13 +117,13 @@ def _map(
         raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
 
     def source() -> Iterator[Message]:
-        with open_log(folder / RECORDING) as recording:
-            yield from recording.messages(SLAM_TOPICS)
+        return recording.messages(SLAM_TOPICS)
 
     result = finish(slam, source, [], watch, lambda stage, done: None)
     watcher.finish(result)
-    add_results(folder, result, identity, slam.config)
-    summary = summarise(result, "run.mcap", _timing(live, result, watch, began), slam.config)
+    add_results(recording, result, identity, slam.config)
+    timing = _timing(live, result, watch, began)
+    summary = summarise(result, account["log"], timing, slam.config)
     lost = {**account["lost"], **summary["lost"]}
     account = account | {"scans": summary["scans"]}
     return summary | account | {"lost": dict(sorted(lost.items()))}
@@ -157,7 +159,7 @@ def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]
     """What the summary says of devices and recording."""
     peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
-        "log": "run.mcap",
+        "log": log_name(status.files),
         "scans": live.intake.scans,
         "lost": live.losses(),
         "devices": live.devices(),

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from logs.mcap_log import LogWriter, open_log
+from logs.parts import Recording
 from slam.config import SlamConfig
 from slam.errors import RunError
 from slam.offline import Result
 from slam.run_directory import write_results, write_summary
 from slam.toml_text import toml_text
 
-RECORDING = "recording.mcap"  # becomes part of run.mcap
+RECORDING = "recording.mcap"  # becomes part of run.mcap; of several files, all stay
 UNFINISHED = ".recording"  # suffix of the folder; not `.partial`, which a replay may remove
 
 
 @contextmanager
 def online_run(out: Path) -> Iterator[Path]:
-    """A folder that takes the name `out` once it holds a closed recording, whatever else fails.
+    """A folder that takes the name `out` once it holds a closed file, whatever else fails.
 
     Without one it stays as it is, for `slam recover`, or is removed if nothing is in it.
 
@@ -55,38 +56,48 @@ def _settle(folder: Path, out: Path) -> None:
             (folder / RECORDING).unlink()
         else:
             os.replace(folder / RECORDING, folder / "run.mcap")
-    if (folder / "run.mcap").exists():
+    if any(folder.glob("*.mcap")):
         os.replace(folder, out)
     else:
         with suppress(OSError):  # an unfinished recording is in it
             folder.rmdir()
 
 
+def log_name(files: Sequence[Path]) -> str:
+    """What to replay in a RUN whose recording has these files."""
+    return files[0].name if files and files[0].name != RECORDING else "run.mcap"
+
+
 def add_results(
-    folder: Path, result: Result, identity: Mapping[str, str], config: SlamConfig
+    recording: Recording, result: Result, identity: Mapping[str, str], config: SlamConfig
 ) -> None:
-    """Write the results beside the recording, and both into one log.
+    """Write the results beside the recording, and both into one log if it is a single file.
 
     Raises:
         LogError: the disk fails; the recording stays as it was.
     """
 
     def copy(log: LogWriter) -> None:
-        with open_log(folder / RECORDING) as recording:
-            for name, values in recording.metadata().items():
+        with open_log(folder / RECORDING) as recorded:
+            for name, values in recorded.metadata().items():
                 if name != "run":
                     log.add_metadata(name, values)
-            for receipt_ns, message in recording.receipts():
+            for receipt_ns, message in recorded.receipts():
                 log.write(message, receipt_ns)
-            for attachment in recording.attachments():
+            for attachment in recorded.attachments():
                 if attachment.name != "config.json":
                     log.add_attachment(attachment.name, attachment.data, attachment.media_type)
-            result.lost.update(recording.skipped)
+            result.lost.update(recorded.skipped)
 
+    folder = recording.path.parent
+    single = recording.path.name == RECORDING
+    if not single:
+        result.lost.update(recording.skipped)
     made = folder / "results"
     made.mkdir()
     try:
-        write_results(made, result, identity, config.model_dump_json(indent=2).encode(), copy)
+        settings = config.model_dump_json(indent=2).encode()
+        write_results(made, result, identity, settings, copy if single else None)
         for path in made.iterdir():
             os.replace(path, folder / path.name)
     finally:

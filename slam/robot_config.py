@@ -107,12 +107,23 @@ class RecordingConfig(BaseModel):
     reserve_mib: int = Field(
         256, ge=0, description="MiB to leave free on the disk; with less the run ends"
     )
+    rotate_mib: int = Field(0, ge=0, description="MiB after which a new file begins; 0: never")
+    rotate_minutes: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="minutes after which a new file begins"
+    )
+
+    @property
+    def rotates(self) -> bool:
+        """Whether there may be several files, which stay as they are recorded."""
+        return self.rotate_mib > 0 or self.rotate_minutes > 0
 
     def recorder(self, recompress: bool) -> RecorderConfig:
         """The recorder's configuration."""
         return RecorderConfig(
             queue_messages=self.queue_messages,
             reserve_bytes=self.reserve_mib * 2**20,
+            rotate_bytes=self.rotate_mib * 2**20,
+            rotate_s=self.rotate_minutes * 60.0,
             recompress=recompress,
         )
 

@@ -134,6 +134,20 @@ def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
     assert ("p3dx lost" in events) == (faults is FAULTS[2])
 
 
+def test_a_rotated_recording_stays_in_parts_and_gives_the_same_run(simulated, tmp_path):
+    out = tmp_path / "run"
+    with simulated() as robot:
+        rotation = {"recording": RecordingConfig(reserve_mib=0, rotate_minutes=2 / 60)}
+        summary = run_online(robot.config.model_copy(update=rotation), out, stop=after(6.0))
+    assert summary["log"] == "recording_000.mcap"
+    assert len(list(out.glob("recording_*.mcap"))) >= 3
+    for again, from_raw in (("decoded", False), ("raw", True)):
+        settings = load_config(out / "slam.toml")
+        replay(out / summary["log"], tmp_path / again, settings, from_raw=from_raw)
+        for name in SAME:
+            assert (out / name).read_bytes() == (tmp_path / again / name).read_bytes(), name
+
+
 def test_messages_are_recorded_before_they_are_used_and_behind_their_bytes(simulated, tmp_path):
     with simulated() as robot:
         run_online(robot.config, tmp_path / "run", stop=after(3.0), record_only=True)
