@@ -24,6 +24,12 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "published_trans_mean_m": "published m", "keyframes": "keyframes", "matches": "matches",
         "closures": "closures", "wall_s": "s", "realtime_factor": "x real", "peak_rss_mb": "MB",
     },
+    "buildings": {
+        "building": "building", "fault": "fault", "seeds": "seeds", "ate_m_median": "ATE m",
+        "ate_m_max": "worst m", "ate_ratio_median": "x without", "closures": "closures",
+        "precision": "precision", "recall": "recall", "runs_named": "named",
+        "other_named": "other named",
+    },
     "outliers": {
         "graph": "graph", "share": "false per true loop", "false_loops": "false",
         "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
@@ -63,6 +69,10 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_benchmark import bench_benchmark
 
         return bench_benchmark(data, quick, say)
+    if name == "buildings":
+        from slam.bench_buildings import bench_buildings
+
+        return bench_buildings(quick, say)
     if name == "matcher":
         from slam.bench_matcher import bench_matcher
 
@@ -83,7 +93,7 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_paper import bench_paper
 
         return bench_paper(out, quick, say)
-    known = ("benchmark", "matcher", "outliers", "online", "log", "paper")
+    known = ("benchmark", "buildings", "matcher", "outliers", "online", "log", "paper")
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
 

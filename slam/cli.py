@@ -269,7 +269,10 @@ def demo(
 
 @app.command()
 def bench(
-    name: Annotated[str, typer.Argument(help="benchmark, matcher, outliers, online, log, paper")],
+    name: Annotated[
+        str,
+        typer.Argument(help="benchmark, buildings, matcher, outliers, online, log, paper"),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
         Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")

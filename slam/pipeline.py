@@ -31,12 +31,14 @@ from slam.keyframe import Keyframe
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
 from slam.odometry import OdometryBuffer
+from slam.odometry_faults import LieDetector, Step
 from slam.stopwatch import NoWatch
 from slam.tracking import Tracked, track
 
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
 MOST_BETWEEN = 64  # scans kept between two keyframes
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
+GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
 MAX_WAIT_NS = 1_000_000_000  # a scan waits this long (in message time) for odometry after it
 
 
@@ -73,12 +75,14 @@ class Slam:
         self.estimates: list[PoseEstimate] = []
         self.lost: Counter[str] = Counter()  # data that could not be used, per cause
         self.noted: Counter[str] = Counter()  # oddities that cost nothing, per cause
+        self.odometry_faults: Counter[str] = Counter()  # lies told by the wheels, and scan gaps
         self.matches = 0
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
         self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._odometry = OdometryBuffer()
+        self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
         self._pending: deque[LaserScan] = deque()
         self._unbroken = 0  # keyframes from here on are tied together by matches
         self._interval = Interval(0.0, None)
@@ -134,6 +138,8 @@ class Slam:
             return
         if not np.isfinite(scan.ranges).any():
             self.noted["scan without any return"] += 1
+        if self.scan_stamps_ns and scan.stamp_ns - self.scan_stamps_ns[-1] > GAP_NS:
+            self.odometry_faults["scan-gap"] += 1
         sighting = self._sight(scan, odom_T_base)
         self.scan_stamps_ns.append(scan.stamp_ns)
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
@@ -292,6 +298,9 @@ class Slam:
             # Nothing vouches for the odometry, or something speaks against it: it says little.
             information = information / self.config.lost_inflation**2
             note = f"lost: {note}" if tracked.lost else note
+        if lie := self._lie(sighting, tracked, moved):
+            self.odometry_faults[lie] += 1
+            note = f"{lie}; {note}" if note else lie
         odometry = Edge("odometry", new - 1, new, moved, information)
         result = tracked.result
         matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
@@ -304,6 +313,16 @@ class Slam:
                 edges.append(edge)
             self._record_edge(sighting.scan.stamp_ns, edge, used, note)
         return edges
+
+    def _lie(self, sighting: _Sighting, tracked: Tracked, moved: Pose2) -> str | None:
+        """What the odometry is caught at by this keyframe, if anything."""
+        assert self._kept is not None
+        if not tracked.match_trusted:
+            self._lies.forget()
+            return None
+        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
+        step = Step.of(moved, tracked.result, seconds)
+        return self._lies.watch(step, not tracked.odometry_trusted)
 
     def _keep(self, sighting: _Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)

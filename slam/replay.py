@@ -176,6 +176,7 @@ def summarise(
         "peak_rss_mb": round(peak_kb / 1024, 1),
         "lost": dict(sorted(result.lost.items())),
         "noted": dict(sorted(slam.noted.items())),
+        "odometry_faults": dict(sorted(slam.odometry_faults.items())),
         "odometry_refused": sum(not f.used and f.kind == "odometry" for f in slam.factors),
         "lost_keyframes": sum(e.lost for e in slam.estimates),
         "version": version(),

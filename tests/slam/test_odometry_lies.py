@@ -1,5 +1,7 @@
 """Odometry that lies: the fault is found, named, and costs next to nothing."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from slam.offline import run_offline
 from slam.trajectory import compose
 
 
+@cache
 def run(world, seed, *faults):
     """ATE (m) of a simulated drive, and what its run says."""
     messages = list(simulate(scenario(world, seed), seed=seed, faults=faults))
@@ -35,6 +38,12 @@ def test_a_lie_in_a_furnished_building_costs_next_to_nothing(kind):
     assert error < 0.05
 
 
+@pytest.mark.parametrize("kind", ["sign-flip", "stall", "jump", "slip", "scan-gap"])
+def test_a_lie_is_named(kind):
+    _, result = run("office", 1, OdometryFault(kind, at_s=30.0))
+    assert result.slam.odometry_faults == {kind: 1}
+
+
 @pytest.mark.parametrize("kind", ["stall", "jump"])
 def test_a_refused_odometry_is_on_record(kind):
     _, result = run("office", 1, OdometryFault(kind, at_s=30.0))
@@ -48,11 +57,13 @@ def test_honest_odometry_is_not_called_a_liar():
     refused = [f for f in result.slam.factors if f.kind == "odometry" and not f.used]
     assert error < 0.05
     assert len(refused) <= 0.01 * len(result.slam.keyframes)
+    assert not result.slam.odometry_faults
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sign-flip", "stall", "jump", "slip", "scan-gap"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_lie_in_a_ring_corridor_costs_next_to_nothing(kind, seed):
-    error, _ = run("office-ring", seed, OdometryFault(kind, at_s=60.0))
+    error, result = run("office-ring", seed, OdometryFault(kind, at_s=60.0))
     assert error < 0.05
+    assert result.slam.odometry_faults == {kind: 1}
