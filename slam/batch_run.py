@@ -66,20 +66,24 @@ def run_all(
     progress = TaskProgress(what, len(missing))
     for index, error in run_tasks(client, run_task, missing):
         task = missing[index]
-        record = failure(error) if error else read_result(task)
-        records[task.key] = record or failure(RunError(f"{task.result}: not to be seen from here"))
-        progress.tick(records[task.key]["status"] != "ok")
+        record = failure(error, task.log) if error else read_result(task)
+        if record is None:
+            record = failure(RunError(f"{task.result}: not here: is --out on shared storage?"), "")
+        records[task.key] = record
+        progress.tick(record["status"] != "ok")
     return records
 
 
-def failure(error: Exception) -> dict[str, Any]:
+def failure(error: Exception, log: str) -> dict[str, Any]:
     """The record of what could not even be tried, or was cut short."""
-    if isinstance(error, OSError) and error.strerror:
-        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    elif isinstance(error, RunError | ReportError | OSError):
-        reason = str(error) or type(error).__name__
+    if isinstance(error, RunError | ReportError):
+        reason = str(error)
+    elif isinstance(error, FileNotFoundError):
+        reason = f"{log}: no such file"
+    elif isinstance(error, OSError) and error.strerror:
+        reason = f"{log}: {error.strerror}"
     else:
-        reason = f"{type(error).__name__}: {error}"
+        reason = f"{log}: {type(error).__name__}: {error}"
     return {"status": "failed", "reason": reason}
 
 

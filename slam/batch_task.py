@@ -30,6 +30,9 @@ from slam.whole_file import write_whole
 _LASTING = (LogError, SlamError, ReportError, GraphError)
 """Errors that the same log and configuration would give again, if it was not the disk's fault."""
 
+LOG = "{log}"
+"""Stands in a kept reason for the log's address: the same log may lie elsewhere next time."""
+
 _ONE_AT_A_TIME = threading.Lock()
 """A worker with several threads still replays one log at a time: drawing a map wants it so."""
 
@@ -90,9 +93,9 @@ def run_task(task: Task) -> None:
             try:
                 record = {"status": "ok", "reason": "", **_judge(task, log)}
             except _LASTING as error:
-                reason = str(error).replace(str(log), task.log)
+                reason = str(error).replace(str(log), LOG)
                 if isinstance(error.__cause__, OSError):
-                    raise BatchError(reason) from error
+                    raise BatchError(str(error)) from error
                 record = {"status": "failed", "reason": reason}
     write_whole(task.result, json.dumps(record, indent=1, allow_nan=False) + "\n")
 

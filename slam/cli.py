@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slam.cli_batch import tune
+from slam.cli_batch import batch, tune
 from slam.cli_online import drivers_app, online
 from slam.cli_view import (
     LOCAL,
@@ -31,6 +31,7 @@ app = typer.Typer(
 )
 
 app.command()(online)
+app.command()(batch)
 app.command()(tune)
 app.add_typer(drivers_app, name="drivers")
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from slam.errors import RunError
+
+_LOSS = 3  # exit code: finished, but something failed or was lost
 
 _Workers = Annotated[
     int | None,
@@ -22,6 +25,45 @@ _Truth = Annotated[
     Path | None,
     typer.Option(help="Folder of truths: NAME.relations, .tum or .csv for NAME.mcap."),
 ]
+
+
+def batch(
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOG...",
+            help="Paths, patterns, or addresses that fsspec knows.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for table, report and results.")],
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="section.key=a,b,c; several give every combination."),
+    ] = None,
+    truth: _Truth = None,
+    config: _Config = None,
+    workers: _Workers = None,
+    scheduler: _Scheduler = None,
+) -> None:
+    """Replay and judge every log under every combination of settings.
+
+    Run the same command again after an interruption: what is finished is not repeated. A log
+    that fails is a row with its reason, and exit code 3. Needs the extra `batch`.
+    """
+    _need_the_extra()
+    from slam.batch import Batch, run_batch
+    from slam.batch_engine import engine
+    from slam.batch_grid import make_grid
+    from slam.batch_report import lines
+
+    grid = make_grid(config, set_ or [])
+    with engine(_count(workers, scheduler), scheduler) as client:
+        rows = run_batch(Batch(logs, grid, out, truth), client, _say)
+    for line in lines(rows, grid):
+        typer.echo(line)
+    _say(f"report: {out / 'report.html'}, table: {out / 'table.parquet'}")
+    _exit_on_loss(rows)
 
 
 def tune(
@@ -83,6 +125,18 @@ def tune(
     for line in summary_lines(tuned):
         typer.echo(line)
     _say(f"configuration: {out / 'config.toml'}")
+
+
+def _exit_on_loss(rows: list[dict[str, Any]]) -> None:
+    """Say each reason once, with the number of its rows."""
+    failed = Counter(row["reason"] for row in rows if row["status"] != "ok")
+    for reason, count in failed.items():
+        _say(f"  failed: {count} x {reason}")
+    lost = Counter(f"{row['log']}: {row['losses']}" for row in rows if row["lost"])
+    for losses, count in lost.items():
+        _say(f"  lost: {count} x {losses}")
+    if failed or lost:
+        raise typer.Exit(_LOSS)
 
 
 def _count(workers: int | None, scheduler: str | None) -> int:

@@ -108,7 +108,7 @@ class _Judge:
         self.hashes: dict[str, str] = {}
         for log, found in hash_logs(client, [*self.train, *self.scoring]).items():
             if isinstance(found, Exception):
-                raise RunError(f"{log}: {failure(found)['reason']}")
+                raise RunError(failure(found, log)["reason"])
             self.hashes[log] = found
         for log in self.scoring:
             for other in self.train:
