@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
@@ -10,7 +11,15 @@ from typing import Any, TypeVar
 
 import dask
 from dask.typing import Key
-from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import (
+    Client,
+    Future,
+    KilledWorker,
+    LocalCluster,
+    Worker,
+    WorkerPlugin,
+    as_completed,
+)
 
 from slam.errors import RunError
 from slam.run_directory import version
@@ -51,6 +60,7 @@ def engine(workers: int, scheduler: str | None = None) -> Iterator[Client]:
                 ) as cluster,
                 Client(cluster) as client,
             ):  # fmt: skip
+                client.register_plugin(_LeavesInterruptsToUs())
                 yield client
         else:
             with _connected(scheduler) as client:
@@ -97,6 +107,13 @@ def _outcome(future: Future[Any]) -> Any:
     if isinstance(error, KilledWorker):
         return BatchError("its workers died of it, again and again: out of memory?")
     return error
+
+
+class _LeavesInterruptsToUs(WorkerPlugin):
+    """A terminal sends Ctrl-C to the workers too; they are ended by who started them."""
+
+    def setup(self, worker: Worker) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

@@ -45,6 +45,7 @@ _FIGURES: tuple[tuple[str, str, Any], ...] = (
         (f"rpe_{length}_trans_rmse_m", f"figures.rpe.{length}.trans_rmse_m", pa.float64())
         for length in ("1m", "10m")
     ),
+    ("timing_task_s", "seconds", pa.float64()),
     *((f"timing_{name}", f"summary.timing.{name}", pa.float64()) for name in _TIMES),
 )
 _IDENTITY = ("log_sha256", "config_sha256", "truth_sha256", "version")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -88,10 +89,12 @@ def run_task(task: Task) -> None:
     if version() != task.version:
         raise BatchError(f"a worker has version {version()}, not {task.version}")
     with _ONE_AT_A_TIME:
-        _warm()
+        warm()
         with local_copy(task.log, _scratch()) as log:
             try:
+                begin = time.perf_counter()
                 record = {"status": "ok", "reason": "", **_judge(task, log)}
+                record["seconds"] = round(time.perf_counter() - begin, 4)
             except _LASTING as error:
                 reason = str(error).replace(str(log), LOG)
                 if isinstance(error.__cause__, OSError):
@@ -120,7 +123,7 @@ def _judge(task: Task, log: Path) -> dict[str, Any]:
 
 
 @cache
-def _warm() -> None:
+def warm() -> None:
     """Compile the kernels before the first replay of a process is timed."""
     warm_up(SlamConfig())
 

@@ -30,6 +30,10 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "precision": "precision", "recall": "recall", "runs_named": "named",
         "other_named": "other named",
     },
+    "batch": {
+        "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
+        "overhead_s_per_task": "s a task beyond its replay", "identical": "identical",
+    },
     "outliers": {
         "graph": "graph", "share": "false per true loop", "false_loops": "false",
         "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
@@ -85,6 +89,10 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_online import bench_online
 
         return bench_online(out, say)
+    if name == "batch":
+        from slam.bench_batch import bench_batch
+
+        return bench_batch(quick, say)
     if name == "log":
         from slam.bench_log import bench_log
 
@@ -93,7 +101,7 @@ def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[st
         from slam.bench_paper import bench_paper
 
         return bench_paper(out, quick, say)
-    known = ("benchmark", "buildings", "matcher", "outliers", "online", "log", "paper")
+    known = ("benchmark", "batch", "buildings", "matcher", "outliers", "online", "log", "paper")
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
 
