@@ -34,7 +34,7 @@ _ONE_THREAD = {
     f"distributed.nanny.pre-spawn-environ.{library}_NUM_THREADS": "1"
     for library in ("OMP", "MKL", "OPENBLAS", "NUMBA")
 }
-_PATIENCE_S = 30.0  # for a scheduler to answer, and for its first worker
+_PATIENCE_S = 20.0  # for a scheduler to answer, and for its first worker
 
 
 class BatchError(RunError):
