@@ -7,12 +7,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from slam.errors import RunError
 from slam.imports import import_log
 from slam.report import evaluate
+from slam.spread import spread
 
 LOGS = ("intel", "mit-csail", "mit-killian")
 
@@ -24,11 +26,22 @@ CARTOGRAPHER = {
 }
 
 
-def bench_benchmark(data: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """One log to be imported, replayed and judged."""
+
+    name: str
+    folder: Path  # of the public logs
+    scratch: Path
+
+
+def bench_benchmark(
+    data: Path, quick: bool, say: Callable[[str], None], workers: int = 0
+) -> dict[str, Any]:
     """Replay every log of `data`/benchmark with the shipped configuration and judge it.
 
     Each replay is a process of its own, so that its peak memory is its own too; kernels are
-    compiled before.  With `quick` only intel is run.
+    compiled before.  With `quick` only intel is run; with workers, several logs at a time.
 
     Raises:
         RunError: the logs are not there, or a replay fails.
@@ -38,16 +51,17 @@ def bench_benchmark(data: Path, quick: bool, say: Callable[[str], None]) -> dict
     for name in names:
         if not (folder / f"{name}.clf.gz").is_file():
             raise RunError(f"{folder / name}.clf.gz: no such log; say where they are with --data")
-    rows = []
+    say(f"importing and replaying {', '.join(names)}")
     with tempfile.TemporaryDirectory() as scratch:
-        for name in names:
-            say(f"{name}: importing and replaying")
-            rows.append(_row(name, folder, Path(scratch)))
-    return {"meta": {"published": "Cartographer, Hess et al. 2016"}, "rows": rows}
+        jobs = [_Job(name, folder.absolute(), Path(scratch)) for name in names]
+        rows = spread(_row, jobs, workers)
+    meta = {"published": "Cartographer, Hess et al. 2016", "workers": workers}
+    return {"meta": meta, "rows": rows}
 
 
-def _row(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
-    log, run = scratch / f"{name}.mcap", scratch / name
+def _row(job: _Job) -> dict[str, Any]:
+    name, folder = job.name, job.folder
+    log, run = job.scratch / f"{name}.mcap", job.scratch / name
     import_log(folder / f"{name}.clf.gz", log)
     command = [sys.executable, "-m", "slam", "replay", str(log), "--out", str(run)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -17,6 +17,9 @@ from slam.run_directory import version
 
 Say = Callable[[str], None]
 
+SPREAD = ("benchmark",)
+"""Benchmarks that can use worker processes."""
+
 # What the table shows of each row; the file holds all.
 COLUMNS: Mapping[str, Mapping[str, str]] = {
     "benchmark": {
@@ -42,13 +45,17 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say) -> None:
+def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: int = 0) -> None:
     """Run one benchmark by name, print it and write `out`/NAME.json.
+
+    With workers, benchmarks that can are spread over so many processes.
 
     Raises:
         RunError: no such benchmark, its data is missing, or the output cannot be written.
     """
-    result = _measure(name, out, data, quick, say)
+    if workers and name not in SPREAD:
+        raise RunError(f"{name} is not spread over workers: leave --workers out")
+    result = _measure(name, out, data, quick, say, workers)
     result["meta"] = {
         "version": version(),
         "config_sha256": SlamConfig().sha256(),
@@ -67,12 +74,14 @@ def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say) -> None:
     say(f"figures: {target}")
 
 
-def _measure(name: str, out: Path, data: Path, quick: bool, say: Say) -> dict[str, Any]:
+def _measure(
+    name: str, out: Path, data: Path, quick: bool, say: Say, workers: int
+) -> dict[str, Any]:
     """Each benchmark is imported only when asked for: some need optional packages."""
     if name == "benchmark":
         from slam.bench_benchmark import bench_benchmark
 
-        return bench_benchmark(data, quick, say)
+        return bench_benchmark(data, quick, say, workers)
     if name == "buildings":
         from slam.bench_buildings import bench_buildings
 

@@ -272,18 +272,21 @@ def demo(
 def bench(
     name: Annotated[
         str,
-        typer.Argument(help="benchmark, buildings, matcher, outliers, online, log, paper"),
+        typer.Argument(help="benchmark, batch, buildings, matcher, outliers, online, log, paper"),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
         Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")
     ] = Path("../shared/data"),
     quick: Annotated[bool, typer.Option(help="Fewer samples, for a first look.")] = False,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Processes to spread `benchmark` over; 0: one by one.")
+    ] = 0,
 ) -> None:
     """Measure, print a table and write NAME.json."""
     from slam.benchmarks import run_bench
 
-    run_bench(name, out, data, quick, _say)
+    run_bench(name, out, data, quick, _say, workers)
 
 
 def _say(text: str) -> None:

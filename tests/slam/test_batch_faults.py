@@ -15,6 +15,7 @@ import pytest
 from slam.batch_engine import BatchError, engine, run_tasks
 from slam.batch_table import is_time
 from slam.simulate import simulate_log
+from slam.spread import spread
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -176,6 +177,13 @@ def test_a_task_that_kills_its_workers_fails_alone():
     with engine(1) as client:
         assert "its workers died of it" in str(dict(run_tasks(client, die, [0]))[0])
         assert list(run_tasks(client, double, [2])) == [(0, 4)]
+
+
+def test_what_is_spread_comes_back_in_order_or_fails_as_it_would_here():
+    for workers in (0, 2):
+        assert spread(double, [3, 1, 2], workers) == [6, 2, 4]
+        with pytest.raises(TypeError):
+            spread(double, [1, {}], workers)
 
 
 def test_a_scheduler_that_is_not_there_is_one_line():
