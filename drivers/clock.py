@@ -154,10 +154,11 @@ class DeviceClock:
         if not -2 * self._config.tick_ns <= lag <= self._config.lag_max_s * 1e9:
             self.distrusted_syncs += 1
             self._anchor, lag = None, assumed_lag_ns
+        lag = max(lag, assumed_lag_ns)  # a slow answer puts the anchor too late
         if self._first is not None and device - self._first >= self._config.settle_s * 1e9:
             self._level, self._slope = lower_edge(self._bins, self._config.drift_max)
             if self._anchor is not None:  # against the edge back then: it has drifted since
-                lag = self._edge(self._first) - self._anchor
+                lag = max(self._edge(self._first) - self._anchor, assumed_lag_ns)
             self._lag = lag
         return self._floor - lag
 

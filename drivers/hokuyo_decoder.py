@@ -36,6 +36,7 @@ class HokuyoDecoder:
         self.scans = 0
         self.missing = 0  # scans that the sensor's clock says there were, but nothing arrived
         self.outage = 0  # likewise, over a new start of the clock: by the times of the scans
+        self.moved_stamps = 0  # of scans that would have come before the one before them
         self.lost: Counter[str] = Counter()  # replies that came but could not be used, by cause
         self.clock = DeviceClock(clock)
         self._reach_m = reach_m
@@ -52,6 +53,7 @@ class HokuyoDecoder:
             "missing_scans": self.missing,
             "outage_scans": self.outage,
             "skipped_bytes": self._framer.skipped_bytes,
+            "moved_stamps": self.moved_stamps,
             "clock_restarts": self.clock.restarts,
             "distrusted_syncs": self.clock.distrusted_syncs,
             # A copy, because the thread that reads the device may add a cause meanwhile.
@@ -129,7 +131,7 @@ class HokuyoDecoder:
         if not sensor.first_step <= request.start <= request.end <= sensor.last_step:
             self.lost["damaged"] += 1
             return
-        lag_ns = round(request.end * sensor.step_s * 1e9)  # it is sent when the sweep is done
+        lag_ns = round(sensor.last_step * sensor.step_s * 1e9)  # it is sent when the sweep is done
         zero_ns = self.clock.observe(raw.timestamp, reply.begun_ns, lag_ns)
         if zero_ns is None:
             self.lost["impossible_time"] += 1
@@ -140,7 +142,7 @@ class HokuyoDecoder:
         stamp = zero_ns + round(first * sensor.step_s * 1e9)
         if self._last_stamp is not None and stamp <= self._last_stamp:
             stamp = self._last_stamp + 1000  # the clock has been set back; order matters more
-            self.lost["stamp_order"] += 1
+            self.moved_stamps += 1
         self._count_missing(raw, sensor, stamp)
         self._last_stamp = stamp
         self.scans += 1

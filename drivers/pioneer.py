@@ -6,6 +6,7 @@ and the motors are left as they are: an operator who drives by joystick keeps do
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ from drivers.ports import Port, open_port
 PASSIVE = (Id.PULSE, Id.OPEN, Id.CLOSE, Id.CONFIG, Id.SONAR, Id.HOSTBAUD)
 _REPORTS = (*STANDARD, CONFIG, ENCODER, IO, GYRO)
 _PATIENT = 4  # silent rounds of SYNC before a known robot is told to CLOSE
+_LISTEN_S, _GARBAGE = 0.2, 16  # s, and bytes in that time that are no packet
 _Outcome = Literal["connected", "open", "confused", "silent"]
 
 
@@ -76,7 +78,7 @@ class Pioneer:
         self._clock = clock or steady_utc()
         self._connection: Connection[Packet] | None = None
         self._guard = MotionGuard(config.motion) if config.motion else None
-        self._baud = config.baud
+        self._baud = self._boot_baud = config.baud
         self._heard_ns = self._pulsed_ns = 0
 
     def connect(self) -> str:
@@ -156,7 +158,7 @@ class Pioneer:
         except LinkLost:
             pass  # whom should we tell
         self.drop()
-        self._baud = self._config.baud  # robots fall back when their client goes (section 1.1)
+        self._baud = self._boot_baud  # robots fall back when their client goes (section 1.1)
 
     def cancel(self) -> None:
         """Make a `connect` that is under way in another thread end with `Stopped`."""
@@ -197,9 +199,12 @@ class Pioneer:
         """
         known = self.decoder.identity is not None
         bauds = self._bauds_to_try(known)
+        self._use_baud(bauds[0])
         silences = 0
         for _ in range(self._config.attempts):
             outcome = self._handshake()
+            if outcome == "connected":
+                self._boot_baud = self._baud
             if outcome == "connected" or (outcome == "open" and known):
                 return outcome
             if outcome == "silent":
@@ -216,10 +221,14 @@ class Pioneer:
         )
 
     def _bauds_to_try(self, known: bool) -> list[int]:
-        """Return speeds in turn; a robot that has restarted is back at the one it booted with."""
+        """Return speeds in turn.
+
+        A robot that we know and hear no more has most likely restarted, and is back at the speed
+        it boots with.
+        """
         if not self._link.port.has_baud:
             return [self._baud]
-        first = [self._baud, self._config.baud] * 2 if known else [self._baud] * 2
+        first = [self._boot_baud, self._baud] * 2 if known else [self._baud] * 2
         return [*first, *(baud for baud in BAUD_CODES if baud not in first)]
 
     def _use_baud(self, baud: int) -> None:
@@ -231,16 +240,26 @@ class Pioneer:
         for stage in (SYNC0, SYNC1, SYNC2):
             self._link.drain(0.03, 0.5)
             self._link.send(encode_command(stage))
-            for packet in self._link.receive_for(self._config.reply_s):
+            outcome = self._answer(stage)
+            if outcome != "connected":
+                return outcome
+        return "connected"
+
+    def _answer(self, stage: int) -> _Outcome:
+        """Wait for the echo of a SYNC; garbage instead of an answer comes of another speed."""
+        skipped = self.decoder.counters()["skipped_bytes"]
+        for _ in range(math.ceil(self._config.reply_s / _LISTEN_S)):
+            for packet in self._link.receive_for(_LISTEN_S):
                 if packet.id == stage:
-                    break
+                    return "connected"
                 if packet.id in _REPORTS:
                     return "open"
                 if packet.id == OUT_OF_SYNC:
                     return "confused"
-            else:
-                return "silent"
-        return "connected"
+            garbage = self.decoder.counters()["skipped_bytes"] - skipped
+            if stage == SYNC0 and garbage > _GARBAGE:
+                break  # a SYNC0 too many does no harm, another one would
+        return "silent"
 
     def _await_report(self, seconds: float) -> bool:
         return any(packet.id in STANDARD for packet in self._link.receive_for(seconds))

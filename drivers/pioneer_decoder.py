@@ -21,6 +21,7 @@ from drivers.arcos_reports import (
     decode_identity,
     decode_standard,
 )
+from drivers.report_cycle import ReportCycle
 from logs.messages import RawBytes, SensorMessage, WheelOdometry
 
 _HALF_WRAP, _WRAP_MASK = 0x4000, 0x7FFF  # counters wrap at 15 bits (DEVICES.md, section 2.1)
@@ -61,6 +62,7 @@ class PioneerDecoder:
         self.jumps = 0
         self._fixed, self._model = model, model
         self._framer, self._sent = Framer(), Framer()
+        self._cycle = ReportCycle()
         self._odometry = WheelOdometry(0, 0.0, 0.0, 0.0)
         self._before: tuple[StandardReport, int] | None = None
         self._turned = 0.0  # rad, from the robot's own frame to ours
@@ -102,7 +104,7 @@ class PioneerDecoder:
             elif packet.id == SYNC2:
                 self._identify(decode_identity(packet.payload))
             elif packet.id == CONFIG:
-                self.config = decode_config(packet.payload)
+                self._configure(decode_config(packet.payload))
             elif packet.id == ENCODER:
                 self.encoders = decode_encoders(packet.payload)
 
@@ -113,7 +115,13 @@ class PioneerDecoder:
             self._model = self._fixed or MODELS.get(identity.subclass.lower())
             self._restart()
 
+    def _configure(self, config: ConfigReport | None) -> None:
+        self.config = config
+        if config is not None and config.sip_cycle > 0:
+            self._cycle.restart(config.sip_cycle * 1_000_000)
+
     def _restart(self) -> None:
+        self._cycle.restart()
         if self._before is not None:
             self.restarts += 1
             self._before = None
@@ -126,7 +134,7 @@ class PioneerDecoder:
             self.latest = report
             self.reports += 1
             # The first byte is stamped: the rest takes 23 ms at 38400 baud, 93 ms at 9600.
-            self._integrate(report, packet.begun_ns, self._model)
+            self._integrate(report, self._cycle.stamp(packet.begun_ns), self._model)
             yield self._odometry
 
     def _integrate(self, report: StandardReport, stamp_ns: int, model: RobotModel) -> None:

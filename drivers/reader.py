@@ -39,6 +39,22 @@ class Session(Protocol):
         ...
 
 
+class Waiter(Protocol):
+    """What the thread needs of `threading.Event`; another one can make simulated time pass."""
+
+    def is_set(self) -> bool:
+        """Whether the thread shall end."""
+        ...
+
+    def set(self) -> None:
+        """Ask it to."""
+        ...
+
+    def wait(self, timeout: float) -> bool:
+        """Wait so many seconds at most, and return whether it shall end."""
+        ...
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Backoff:
     """How long to wait before the next try to connect."""
@@ -70,12 +86,13 @@ class DeviceReader:
         *,
         backoff: Backoff | None = None,
         clock: Clock | None = None,
+        stop: Waiter | None = None,
     ) -> None:
         self.connections = 0
         self.outages = 0
         self._session, self._sink = session, sink
         self._backoff, self._clock = backoff or Backoff(), clock or steady_utc()
-        self._stop = threading.Event()
+        self._stop = stop or threading.Event()
         self._thread = threading.Thread(target=self.run, name=session.device, daemon=True)
 
     def start(self) -> None:

@@ -42,6 +42,15 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
         "recall": "recall", "wall_s": "s",
     },
+    "online": {
+        "duration_s": "s", "scans": "scans", "latency_ms_p50": "latency ms p50",
+        "latency_ms_p99": "p99", "latency_ms_max": "max", "searching_scans": "while searching",
+        "searching_ms_p99": "p99", "cpu_share": "of a core", "peak_rss_mb": "MB", "lost": "lost",
+    },
+    "online-faults": {
+        "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
+        "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms", "wrong": "wrong",
+    },
 }  # fmt: skip
 
 
@@ -97,7 +106,11 @@ def _measure(
     if name == "online":
         from slam.bench_online import bench_online
 
-        return bench_online(out, say)
+        return bench_online(quick, say)
+    if name == "online-faults":
+        from slam.bench_online_faults import bench_online_faults
+
+        return bench_online_faults(quick, say)
     if name == "batch":
         from slam.bench_batch import bench_batch
 
@@ -110,7 +123,10 @@ def _measure(
         from slam.bench_paper import bench_paper
 
         return bench_paper(out, quick, say)
-    known = ("benchmark", "batch", "buildings", "matcher", "outliers", "online", "log", "paper")
+    known = (
+        "benchmark", "batch", "buildings", "matcher", "outliers", "online", "online-faults", "log",
+        "paper",
+    )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
 

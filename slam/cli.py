@@ -272,7 +272,9 @@ def demo(
 def bench(
     name: Annotated[
         str,
-        typer.Argument(help="benchmark, batch, buildings, matcher, outliers, online, log, paper"),
+        typer.Argument(
+            help="benchmark, batch, buildings, matcher, outliers, online, online-faults, log, paper"
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[

@@ -25,7 +25,7 @@ from drivers.simulators.link import Line
 from drivers.simulators.motion import TrackMotion
 from drivers.simulators.path import MotionConfig
 from drivers.simulators.pioneer_device import PioneerDevice
-from drivers.simulators.robot import ODOMETRY_NOISE, drive
+from drivers.simulators.robot import ODOMETRY_NOISE, drive, to_and_fro
 from drivers.simulators.servers import PtyEndpoint, SimulatorServer
 from drivers.simulators.sweep import Sweeper
 from drivers.simulators.worlds import scenario
@@ -51,6 +51,7 @@ class Plan:
     from_deg: float = -180.0
     to_deg: float = 180.0
     cluster: int = 1
+    passes: int = 1  # there, back in reverse, there again ...
     seed: int = 0
     most_s: float = 90.0  # after which the online command ends by itself, should we be gone
 
@@ -68,7 +69,7 @@ class SimulatedRobot:
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.plan, seed = plan, plan.seed
         bed = scenario(plan.world, seed)
-        truth = drive(bed.path, plan.motion)
+        truth = to_and_fro(drive(bed.path, plan.motion), plan.passes)
         wheels = dead_reckoning(truth, ODOMETRY_NOISE[plan.noise], seed)
         self.motion = TrackMotion(truth, wheels, starts_s=_FAR_S)
         self.base = PioneerDevice(self.motion, world=bed.world)

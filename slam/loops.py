@@ -77,6 +77,11 @@ class LoopCloser:
         """The graph changed its shape: forget maps of old places, which have moved within."""
         self._searcher.forget()
 
+    @property
+    def searching(self) -> bool:
+        """Whether a search is at work just now."""
+        return self._searcher.running
+
     def begin(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> bool:
         """Start a search for the newest keyframe; False if none is due."""
         newest = keyframes[-1]

@@ -38,6 +38,11 @@ class LoopSearcher:
         self._questions: Sequence[LoopQuestion] = ()
         self._searching: Future[list[Closure]] | None = None
 
+    @property
+    def running(self) -> bool:
+        """Whether a search is at work; of interest to those who measure, not to the graph."""
+        return self._searching is not None and not self._searching.done()
+
     def begin(self, questions: Sequence[LoopQuestion]) -> None:
         """Search for the answers, which must be taken before the next begin."""
         self._questions = questions

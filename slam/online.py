@@ -142,6 +142,8 @@ def _timing(
         "cpu_share": round(live.cpu_share, 3),
         **_spread("step_ms", live.timed.milliseconds),
         **_spread("latency_ms", live.latencies_ms),
+        **_spread("searching_ms", live.searching_ms),
+        "searching_scans": len(live.searching_ms),
         **_spread("delay_ms", live.delays_ms),
         "stages_s": {name: round(s, 3) for name, s in sorted(watch.seconds.items())},
     }

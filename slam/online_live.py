@@ -54,6 +54,7 @@ class LiveRun:
         ]
         self.timed = TimedStep()
         self.latencies_ms = array("d")  # from a scan's last byte until `step` is done with it
+        self.searching_ms = array("d")  # likewise, of scans that came while a loop search ran
         self.delays_ms = array("d")  # likewise, until it is used: it waits for odometry after it
         self.cpu_share = 0.0  # of one core, while the devices were read
         self.has_odometry = False
@@ -104,12 +105,16 @@ class LiveRun:
         if isinstance(message, LaserScan):
             self._unused.append(received.receipt_ns)
         self.has_odometry = self.has_odometry or isinstance(message, WheelOdometry)
+        searching = self.slam.loops.searching
         feed(self.slam, message, self.timed)
+        searching = searching or self.slam.loops.searching
         self._watcher.show(self.slam, message)
         now = self._clock()
         self._age_s = (now - received.receipt_ns) * 1e-9
         if isinstance(message, LaserScan):
             self.latencies_ms.append(1e3 * self._age_s)
+            if searching:
+                self.searching_ms.append(1e3 * self._age_s)
         while len(self._unused) > self.slam.waiting_scans:
             self.delays_ms.append((now - self._unused.popleft()) * 1e-6)
 

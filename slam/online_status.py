@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 # Counters of the decoders that tell of activity rather than of loss.
 _NO_LOSS = (
-    "scans", "reports", "skipped_bytes", "clock_restarts", "distrusted_syncs",
+    "scans", "reports", "skipped_bytes", "moved_stamps", "clock_restarts", "distrusted_syncs",
 )  # fmt: skip
 
 

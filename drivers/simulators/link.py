@@ -41,7 +41,7 @@ class WireFaults:
     flip_rate: float = 0.0  # share of bytes with one bit turned over
     loss_rate: float = 0.0  # share of bytes that vanish
     split: int = 0  # most bytes delivered at once, 0 for any number
-    hold_s: float = 0.0  # s between deliveries: packets arrive merged
+    hold_s: float = 0.0  # s between deliveries, half of it to all: packets arrive merged
     delay_s: float = 0.0  # s by which what the device sends at a time is late, 0 to this
     silences: tuple[Window, ...] = ()  # nothing gets through, the port stays
     unplugged: tuple[Window, ...] = ()  # the port is gone
@@ -70,6 +70,7 @@ class Line:
         self._queue: deque[tuple[float, bytes]] = deque()  # (s when its first byte starts, data)
         self._free_s = 0.0
         self._delivered_s = -math.inf
+        self._hold_s = self._faults.hold_s
         self._filled_s = 0.0
 
     def plugged(self, now_s: float) -> bool:
@@ -92,7 +93,7 @@ class Line:
     def to_host(self, now_s: float, baud: int) -> bytes:
         """Return what has reached a client that listens at `baud`."""
         self._fill(now_s, baud)
-        if now_s - self._delivered_s < self._faults.hold_s:
+        if now_s - self._delivered_s < self._hold_s:
             return b""
         ready = bytearray()
         most = self._faults.split or 1 << 18
@@ -103,8 +104,10 @@ class Line:
             if there < len(data):
                 self._queue.appendleft((start + there * self._byte_s(), data[there:]))
                 break
-        if ready:
-            self._delivered_s = now_s
+        if ready and not (self._queue and self._queue[0][0] <= now_s):
+            self._delivered_s = now_s  # pieces of one delivery follow each other at once
+            if self._faults.hold_s:  # hosts keep no step with devices
+                self._hold_s = self._faults.hold_s * self._rng.uniform(0.5, 1.0)
         return bytes(ready)
 
     def forget(self) -> None:
@@ -237,5 +240,8 @@ class MemoryLink:
         """
         if not self._line.plugged(self._time.now_s):
             raise PortError(f"{name} does not exist")
+        if self.opened:  # the system keeps nothing for a port that nobody has open any more
+            self._line.to_host(self._time.now_s, baud)
+            self._line.forget()
         self.opened += 1
         return MemoryPort(name, self._line, self._time, baud)

@@ -41,6 +41,10 @@ class Motion(Protocol):
         """Take the controller's setpoints, m/s and rad/s."""
         ...
 
+    def power(self, time_s: float, on: bool) -> None:
+        """Give the wheels power, or take it: then the robot stands."""
+        ...
+
 
 class TrackMotion:
     """Driven by somebody at the joystick: along a track, whatever is commanded."""
@@ -49,24 +53,34 @@ class TrackMotion:
         """Stand still until `starts_s`; `wheels` is what dead reckoning makes of `truth`."""
         self.starts_s = starts_s
         self._truth, self._wheels = truth, wheels
+        self._stands: list[list[float]] = []  # begin and end, s of simulation
 
     @property
     def ends_s(self) -> float:
         """When the robot has arrived, s of simulation."""
-        return self.starts_s + self._truth.duration_s
+        return self.starts_s + self._truth.duration_s + sum(b - a for a, b in self._stands)
+
+    def _driven_s(self, times_s: Array) -> Array:
+        """Return how long the robot has been driving, s."""
+        driven = times_s - self.starts_s
+        for begin, end in self._stands:
+            driven = driven - np.clip(times_s - begin, 0.0, end - begin)
+        return driven
 
     def truth(self, times_s: Array) -> Array:
         """See `Motion`."""
-        return self._truth.at(times_s - self.starts_s)
+        return self._truth.at(self._driven_s(times_s))
 
     def odometry(self, time_s: float) -> Pose:
         """See `Motion`."""
-        x, y, theta = self._wheels.at(np.array([time_s - self.starts_s]))[0].tolist()
+        x, y, theta = self._wheels.at(self._driven_s(np.array([time_s])))[0].tolist()
         return x, y, theta
 
     def speeds(self, time_s: float) -> tuple[float, float]:
         """See `Motion`."""
-        step = math.floor((time_s - self.starts_s) / self._wheels.step_s)
+        if any(begin <= time_s < end for begin, end in self._stands):
+            return 0.0, 0.0
+        step = math.floor(float(self._driven_s(np.array([time_s]))[0]) / self._wheels.step_s)
         if not 0 <= step < len(self._wheels.increments):
             return 0.0, 0.0
         forward, _, turn = self._wheels.increments[step].tolist()
@@ -74,6 +88,14 @@ class TrackMotion:
 
     def command(self, time_s: float, speed: float, turn_rate: float) -> None:
         """The joystick wins."""
+
+    def power(self, time_s: float, on: bool) -> None:
+        """See `Motion`; the drive goes on where it was when power is back."""
+        standing = bool(self._stands) and self._stands[-1][1] == math.inf
+        if not on and not standing:
+            self._stands.append([time_s, math.inf])
+        elif on and standing:
+            self._stands[-1][1] = time_s
 
 
 def scenario_motion(
@@ -121,6 +143,11 @@ class CommandedMotion:
         """See `Motion`."""
         self._advance(time_s)
         self._wanted = (speed, turn_rate)
+
+    def power(self, time_s: float, on: bool) -> None:
+        """See `Motion`."""
+        if not on:
+            self.command(time_s, 0.0, 0.0)
 
     def _advance(self, time_s: float) -> None:
         config, dt = self._config, self.STEP_S

@@ -79,6 +79,7 @@ class PioneerDevice:
         self.build = build or PioneerBuild()
         self.commands: list[Command] = []  # all that were understood, for tests
         self.watchdog_trips = 0
+        self.reports = 0  # standard reports sent
         self._motion, self._world = motion, world
         self._reboots = list(self.build.reboots)
         self._boots_until = -math.inf
@@ -121,13 +122,14 @@ class PioneerDevice:
         if self._reboots and now_s >= self._reboots[0][0]:
             at, takes = self._reboots.pop(0)
             self._boots_until = at + takes
-            self._motion.command(now_s, 0.0, 0.0)
+            self._motion.power(now_s, on=False)
             self._power_on(now_s)
         if now_s < self._boots_until:
             return b""
         self._watch(now_s)
         while self._open and self._next_report <= now_s:
             self._out += encode_packet(self._standard(self._next_report))
+            self.reports += 1
             if self._encoders:
                 self._out += encode_packet(encode_encoders(self._counts(self._next_report)))
                 self._encoders -= self._encoders == 1
@@ -190,6 +192,7 @@ class PioneerDevice:
         }
 
     def _start(self, _: int, now_s: float) -> None:
+        self._motion.power(now_s, on=True)  # after a restart its operator waits for this
         if not self._open:
             self._open, self._next_report = True, now_s + self.build.cycle_s
 

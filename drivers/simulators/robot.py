@@ -68,6 +68,20 @@ def drive(path: tuple[Leg, ...], motion: MotionConfig | None = None) -> Track:
     return track_of(start, increments, motion.step_s)
 
 
+def to_and_fro(track: Track, passes: int) -> Track:
+    """Return a drive along `track` and back in reverse, as many times in all as there are passes.
+
+    Raises:
+        ValueError: for less than one pass.
+    """
+    if passes < 1:
+        raise ValueError(f"a drive has a pass at least, got {passes}")
+    back = -track.increments[::-1]
+    parts = [back if k % 2 else track.increments for k in range(passes)]
+    x, y, theta = track.poses[0].tolist()
+    return track_of((x, y, theta), np.concatenate(parts), track.step_s)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OdometryNoise:
     """How far dead reckoning strays; the scale and drift errors are drawn once a drive.

@@ -94,6 +94,15 @@ def test_a_smaller_error_of_the_round_trip_is_seen_too():
     assert np.abs(errors[40:]).max() < 5.0
 
 
+def test_slow_answers_do_not_put_the_scans_later_than_they_can_be():
+    """Answers that are held back for 60 ms put the round trip's middle 30 ms late."""
+    clock = DeviceClock()
+    clock.synchronise(4500, EPOCH - 500 * MS, EPOCH - 440 * MS)
+    errors = errors_ms(clock, readings(40.0), round(LAG_S * 1e9))
+    assert np.abs(errors[40:]).max() < 8.0
+    assert np.abs(errors[800:]).max() < 1.5
+
+
 def test_a_damaged_count_is_refused_and_leaves_no_trace():
     clean, dirty = synchronised(), synchronised()
     for i, (_, count, received) in enumerate(readings(30.0)):
