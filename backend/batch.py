@@ -36,7 +36,10 @@ class GraphConfig(BaseModel):
         0.008, ge=0, description="m, added to every match: what real places do to its model"
     )
     match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
-    relinearise_threshold: float = Field(0.05, gt=0, description="m or rad, ISAM2")
+    relinearise_trans: float = Field(
+        0.5, gt=0, description="m that a pose moves before ISAM2 linearises it anew"
+    )
+    relinearise_rot: float = Field(0.02, gt=0, description="rad, the same for its heading")
     relinearise_skip: int = Field(1, ge=1, description="updates between relinearisations, ISAM2")
     reject_loops: bool = Field(
         True, description="let the batch leave out loops that the whole graph contradicts"

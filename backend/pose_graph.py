@@ -14,6 +14,8 @@ from backend.edges import Edge, GraphError, Matrix, relative_covariance
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 
+SETTLE = 3  # further ISAM2 updates after a loop, at most
+
 
 class PoseGraph:
     """Keyframe poses `map_T_k` and the measurements between them; keyframe 0 is held."""
@@ -24,10 +26,7 @@ class PoseGraph:
         self.loop_weights: dict[int, float] = {}  # of the last batch: index into edges
         self._maker = FactorMaker(config)
         self._first = map_T_first
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(config.relinearise_threshold)
-        parameters.relinearizeSkip = config.relinearise_skip
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam = gtsam.ISAM2(_isam_parameters(config))
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         graph.add(self._maker.anchor(map_T_first))
         values.insert(X(0), map_T_first)
@@ -84,9 +83,11 @@ class PoseGraph:
         for edge in edges:
             if not (0 <= edge.i < self._count and 0 <= edge.j < self._count and edge.i != edge.j):
                 raise GraphError(f"edge {edge.i}-{edge.j}: no such pair of keyframes")
-        self._update(edges, gtsam.Values())
-        for _ in range(3):  # a loop moves much at once: let ISAM2 settle
-            self._isam.update()
+        moved = self._update(edges, gtsam.Values())
+        for _ in range(SETTLE):  # a loop moves much at once: let ISAM2 settle
+            if not moved:
+                break
+            moved = self._isam.update().getVariablesRelinearized()
         self._refresh(self._isam.calculateEstimate())
 
     def add_edges_batch(self, edges: Sequence[Edge]) -> None:
@@ -137,12 +138,14 @@ class PoseGraph:
         self._poses[: self._count] = result.poses
         return self.poses.copy()
 
-    def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> None:
+    def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> int:
+        """Give ISAM2 edges and new poses; how many poses it linearised anew."""
         graph = gtsam.NonlinearFactorGraph()
         for edge in edges:
             graph.add(self._maker.between(edge, robust=True))
-        self._isam.update(graph, values)
+        moved: int = self._isam.update(graph, values).getVariablesRelinearized()
         self.edges += edges
+        return moved
 
     def _refresh(self, values: gtsam.Values) -> None:
         self._poses[: self._count] = gtsam.utilities.extractPose2(values)
@@ -150,3 +153,14 @@ class PoseGraph:
     def _grow(self) -> None:
         if self._count == len(self._poses):
             self._poses = np.vstack([self._poses, np.zeros_like(self._poses)])
+
+
+def _isam_parameters(config: GraphConfig) -> gtsam.ISAM2Params:
+    """Between factors bend with the heading alone: a shifted pose needs no new linearisation."""
+    thresholds = gtsam.ISAM2ThresholdMap()
+    trans, rot = config.relinearise_trans, config.relinearise_rot
+    thresholds.insert(("x", np.array([trans, trans, rot])))
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(thresholds)
+    parameters.relinearizeSkip = config.relinearise_skip
+    return parameters
