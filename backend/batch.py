@@ -16,6 +16,9 @@ from backend.edges import Edge, GraphError, Matrix
 
 SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
 OUTLIER = 0.5  # a loop of less weight is left out
+NARROWING = ((30.0, 8), (10.0, 8), (3.0, 50))  # kernel in sigmas, iterations
+
+_ESTIMATORS = gtsam.noiseModel.mEstimator
 
 
 class GraphConfig(BaseModel):
@@ -106,14 +109,13 @@ class FactorMaker:
         gaussian = self._gaussian(edge)
         if not robust:
             return gaussian
-        estimators = gtsam.noiseModel.mEstimator
         kernel: gtsam.noiseModel.mEstimator.Base
         if edge.kind == "icp":
-            kernel = estimators.Huber.Create(self.config.icp_kernel)
+            kernel = _ESTIMATORS.Huber.Create(self.config.icp_kernel)
         elif edge.kind == "odometry":
-            kernel = estimators.Cauchy.Create(self.config.odometry_kernel)
+            kernel = _ESTIMATORS.Cauchy.Create(self.config.odometry_kernel)
         else:
-            kernel = estimators.Cauchy.Create(self.config.loop_kernel)
+            kernel = _ESTIMATORS.Cauchy.Create(self.config.loop_kernel)
         return gtsam.noiseModel.Robust.Create(kernel, gaussian)
 
     def graph(
@@ -140,8 +142,9 @@ def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> Batch
 
     Where the graph that believes all loops contradicts some, plain least squares and two
     optimisations that can let go of loops are tried as well (dynamic covariance scaling, Agarwal
-    et al. 2013; Geman-McClure); none wins always, so the one with the smallest truncated cost is
-    taken.  Loops that contradict it are left out, and the rest decides.
+    et al. 2013; Geman-McClure with a kernel that narrows step by step, after Yang et al. 2020);
+    none wins always, so the one with the smallest truncated cost is taken.  Loops that
+    contradict it are left out, and the rest decides.
 
     Raises:
         GraphError: the optimiser gave up, which a graph with near-singular edges can cause.
@@ -155,7 +158,8 @@ def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> Batch
             # Plain least squares takes part: from a bad start only it pulls hard enough.
             plain = FactorMaker(config.model_copy(update={"robust": False}))
             rivals = [settled, _descend(poses, edges, plain, None, iterations=10)]
-            rivals += [_descend(poses, edges, maker, kernel) for kernel in _letting_go()]
+            rivals += [_descend(poses, edges, maker, _ESTIMATORS.DCS.Create(1.0))]
+            rivals += [_narrowing(poses, edges, maker)]
             settled = min(rivals, key=lambda found: truncated_cost(found, edges, maker))
             settled = _descend(settled, _believed(settled, edges, maker), maker, None)
             chi = chi_squares(settled, edges, maker)
@@ -184,16 +188,24 @@ def chi_squares(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> NDA
 
 
 def truncated_cost(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> float:
-    """Sum over all edges of the squared residual, a loop counting no more than a false one may."""
+    """Sum of the squared residuals, a loop counting no more than a false one may.
+
+    Beyond the Huber kernel the other edges count linearly: some matches slid, but a chain that
+    breaks is never cheap, as it would be under the Cauchy kernel of the odometry.
+    """
     squares = chi_squares(poses, edges, maker)
     is_loop = np.array([edge.kind == "loop" for edge in edges])
-    return float(np.where(is_loop, np.minimum(squares, SUSPICIOUS), squares).sum())
+    k = maker.config.icp_kernel
+    chain = np.where(squares <= k * k, squares, 2.0 * k * np.sqrt(squares) - k * k)
+    return float(np.where(is_loop, np.minimum(squares, SUSPICIOUS), chain).sum())
 
 
-def _letting_go() -> list[gtsam.noiseModel.mEstimator.Base]:
-    """Kernels under which a contradicted loop loses its pull; scales in sigmas."""
-    estimators = gtsam.noiseModel.mEstimator
-    return [estimators.DCS.Create(1.0), estimators.GemanMcClure.Create(3.0)]
+def _narrowing(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> Matrix:
+    """Loops under a kernel first so wide that all of them pull, then ever narrower."""
+    for sigmas, iterations in NARROWING:
+        kernel = _ESTIMATORS.GemanMcClure.Create(sigmas)
+        poses = _descend(poses, edges, maker, kernel, iterations)
+    return poses
 
 
 def _believed(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> list[Edge]:

@@ -121,14 +121,14 @@ class ScanLocaliser:
         self._last: tuple[Pose2, Pose2] | None = None  # guess and result of the scan before
         self.matches = 0
 
-    def locate(self, scan: PreparedScan, guess: Pose2) -> Pose2:
+    def locate(self, scan: PreparedScan, guess: Pose2, doubted: bool = False) -> Pose2:
         """map_T_base of the next scan; the guess where nothing better is found.
 
-        Where the odometry lies between two keyframes the guess is off by more than it should:
-        then the search starts again from where the last scan was found.
+        Where the odometry between two keyframes is `doubted` the guess is off by more than it
+        should: then the search starts again from where the last scan was found.
         """
         starts = [guess]
-        if self._last is not None:
+        if doubted and self._last is not None:
             last_guess, last_found = self._last
             starts += [last_found * last_guess.between(guess), last_found]
         best, best_quality = guess, self._config.min_quality

@@ -69,6 +69,8 @@ class LoopCloser:
         self.config = config
         self.verdicts: list[LoopVerdict] = []
         self._searcher = LoopSearcher(config.search, matcher, beside)
+        # Refused for the graph as it was then; the whole graph may side with them in the end.
+        self.refuted: list[Candidate] = []
         self._pending: list[Candidate] = []
         self._searched_m = 0.0
         self._limit = float(chi2.isf(config.gate, 3))
@@ -171,12 +173,12 @@ class LoopCloser:
         # The match counts with what the graph will give it, not with its bare range noise.
         weight = known - known @ np.linalg.solve(known + graph.weight(edge), known)
         chi_square = float(error @ weight @ error)
-        if chi_square > self._limit:
-            reason = f"chi-square {chi_square:.1f} against the graph"
-            self._record(stamp_ns, anchor, newest, closure, reason, chi_square)
-            return None
         travelled = keyframes[-1].travelled_m
         candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square)
+        if chi_square > self._limit:
+            self._verdict(candidate, f"chi-square {chi_square:.1f} against the graph")
+            self.refuted.append(candidate)
+            return None
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         if 3 * sigma > self.config.tight_m:
             return candidate

@@ -10,6 +10,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
+from backend.batch import OUTLIER
 from backend.edges import Edge
 from frontend.scan import prepare
 from logs.messages import (
@@ -30,6 +31,7 @@ from slam.usable import flaw
 
 Source = Callable[[], Iterable[Message]]
 Progress = Callable[[str, float], None]  # stage, share done
+READMITTED = "accepted: refused along the way, but the whole graph agrees"
 
 
 class SlamError(Exception):
@@ -150,24 +152,38 @@ def finish(
 
 
 def settle(slam: Slam) -> None:
-    """Batch optimisation; closures that the whole graph speaks against are withdrawn, on record."""
+    """Batch optimisation, in which the whole graph judges every closure anew, on record.
+
+    What it speaks against is withdrawn.  What was refused along the way, when an earlier closure
+    or a match that slid may have bent the graph, is admitted if the rest agrees after all.
+    """
     graph = slam.graph
     assert graph is not None
+    refuted = slam.loops.refuted
+    graph.add_edges_batch([candidate.edge for candidate in refuted])
     graph.optimise()
-    refuted = [graph.edges[k] for k, weight in graph.loop_weights.items() if weight < 0.5]
-    for edge in refuted:
+    weights = {id(graph.edges[k]): weight for k, weight in graph.loop_weights.items()}
+    judged: dict[tuple[int, int], tuple[bool, str]] = {}
+    for candidate in refuted:
+        edge, used = candidate.edge, weights[id(candidate.edge)] >= OUTLIER
+        note = READMITTED if used else f"chi-square {candidate.chi_square:.1f} against the graph"
+        slam.record_edge(candidate.stamp_ns, edge, used, note)
+        judged[edge.i, edge.j] = used, note
+    for edge in [e for e in graph.edges if weights.get(id(e), 1.0) < OUTLIER]:
         chi_square = edge.chi_square(graph.poses)
-        graph.drop(edge)
         note = f"withdrawn: chi-square {chi_square:.0f} against the whole graph"
-        slam.factors = [
-            replace(f, used=False, note=note)
-            if (f.kind, f.i, f.j) == (edge.kind, edge.i, edge.j) else f
-            for f in slam.factors
-        ]  # fmt: skip
-        slam.loops.verdicts = [
-            replace(v, accepted=False, reason=note) if (v.i, v.j) == (edge.i, edge.j) else v
-            for v in slam.loops.verdicts
-        ]
+        judged.setdefault((edge.i, edge.j), (False, note))
+        graph.drop(edge)
+    slam.factors = [
+        replace(f, used=judged[f.i, f.j][0], note=judged[f.i, f.j][1])
+        if f.kind == "loop" and (f.i, f.j) in judged else f
+        for f in slam.factors
+    ]  # fmt: skip
+    slam.loops.verdicts = [
+        replace(v, accepted=judged[v.i, v.j][0], reason=judged[v.i, v.j][1])
+        if (v.i, v.j) in judged else v
+        for v in slam.loops.verdicts
+    ]  # fmt: skip
 
 
 def _timed(messages: Iterable[Message], watch: NoWatch) -> Iterable[Message]:
@@ -188,6 +204,8 @@ def _localise(
     """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = guesses.copy()
+    keyframe_scans = [k.scan_index for k in slam.keyframes]
+    after = np.searchsorted(keyframe_scans, np.arange(len(guesses)))  # keyframe at or after it
     row = 0
     for message in _timed(source(), watch):
         if row == len(found):
@@ -197,7 +215,7 @@ def _localise(
         if message.stamp_ns != slam.scan_stamps_ns[row]:
             continue
         scan = prepare(message, slam.mount, slam.config.scan)
-        pose = localiser.locate(scan, Pose2(*guesses[row]))
+        pose = localiser.locate(scan, Pose2(*guesses[row]), int(after[row]) in slam.doubted)
         found[row] = pose.x(), pose.y(), pose.theta()
         row += 1
         tell("localising", row)

@@ -77,6 +77,7 @@ class Slam:
         self.noted: Counter[str] = Counter()  # oddities that cost nothing, per cause
         self.odometry_faults: Counter[str] = Counter()  # lies told by the wheels, and scan gaps
         self.matches = 0
+        self.doubted: set[int] = set()  # keyframes to which the odometry did not lead
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
@@ -217,6 +218,8 @@ class Slam:
         seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
         if not tracked.match_trusted:
             self._unbroken = new
+        if not tracked.odometry_trusted:
+            self.doubted.add(new)
         step = tracked.result.target_T_source if tracked.match_trusted else moved
         edges = self._edges(sighting, tracked, moved, new)
         with self._watch("optimising"):
@@ -241,7 +244,7 @@ class Slam:
                 self.graph.add_edges(closures)
             self.loops.moved()
             for edge in closures:
-                self._record_edge(self.keyframes[-1].scan.stamp_ns, edge, True, "")
+                self.record_edge(self.keyframes[-1].scan.stamp_ns, edge, True, "")
 
     def _track(
         self, sighting: _Sighting, prepared: PreparedScan, between: Sequence[_Sighting]
@@ -311,7 +314,7 @@ class Slam:
         ):
             if used:
                 edges.append(edge)
-            self._record_edge(sighting.scan.stamp_ns, edge, used, note)
+            self.record_edge(sighting.scan.stamp_ns, edge, used, note)
         return edges
 
     def _lie(self, sighting: _Sighting, tracked: Tracked, moved: Pose2) -> str | None:
@@ -363,7 +366,8 @@ class Slam:
             )
         )
 
-    def _record_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
+    def record_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
+        """Keep a factor on record with what became of it."""
         floor = 1e-9 * np.eye(3)  # a blind axis has no covariance to write down
         covariance = np.linalg.inv(edge.information + floor)
         self.factors.append(
