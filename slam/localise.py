@@ -124,11 +124,14 @@ class ScanLocaliser:
     def locate(self, scan: PreparedScan, guess: Pose2, doubted: bool = False) -> Pose2:
         """map_T_base of the next scan; the guess where nothing better is found.
 
-        Where the odometry between two keyframes is `doubted` the guess is off by more than it
-        should: then the search starts again from where the last scan was found.
+        Where the odometry lies between two keyframes the guess is off by more than it should:
+        then the search starts again from where the last scan was found.  A match from the guess
+        is good enough unless that odometry is `doubted`: in a corridor other starts find other
+        places that look alike.
         """
         starts = [guess]
-        if doubted and self._last is not None:
+        enough = self._config.good_quality if doubted else self._config.min_quality
+        if self._last is not None:
             last_guess, last_found = self._last
             starts += [last_found * last_guess.between(guess), last_found]
         best, best_quality = guess, self._config.min_quality
@@ -136,7 +139,7 @@ class ScanLocaliser:
             found, quality = self._match(scan, start)
             if quality > best_quality:
                 best, best_quality = found, quality
-            if best_quality >= self._config.good_quality:
+            if best_quality > enough:
                 break
         self._last = guess, best
         return best
