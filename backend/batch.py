@@ -67,6 +67,7 @@ class FactorMaker:
         self.config = config
         sigmas = [config.anchor_sigma_trans, config.anchor_sigma_trans, config.anchor_sigma_rot]
         self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+        self._weights: dict[Edge, Matrix] = {}  # a batch asks for each many times
 
     def anchor(self, map_T_first: Pose2) -> gtsam.PriorFactorPose2:
         """The prior that holds keyframe 0."""
@@ -88,6 +89,12 @@ class FactorMaker:
 
     def weight(self, edge: Edge) -> Matrix:
         """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
+        known = self._weights.get(edge)
+        if known is None:
+            known = self._weights[edge] = self._widened(edge)
+        return known
+
+    def _widened(self, edge: Edge) -> Matrix:
         sigma = np.array([self.config.match_sigma_trans] * 2 + [self.config.match_sigma_rot])
         if edge.kind == "odometry" or not (sigma > 0).all():
             return edge.information
