@@ -19,6 +19,7 @@ from frontend.scan import PreparedScan
 # there is; each with a start that would be right.
 RIVALS = ("mirrored translation", "zero motion", "previous velocity")
 RIVAL_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
+APART_M = 0.03  # m between the ends of two matches that are not the same
 
 DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
 
@@ -136,13 +137,23 @@ def _surpassed(
     """Whether another start explains the scan clearly better, though odometry and match agree.
 
     A corridor looks alike a step further on: a match that starts where lying odometry says can
-    settle there and confirm it.
+    settle there and confirm it.  Most rivals end where the first match did, or fit worse, against
+    the last keyframe alone: only the others are worth the time of all references.
     """
+
+    def found(guess: Pose2, among: Sequence[Reference]) -> MatchResult:
+        return match(among, source, guess, matcher, Prior(guess, RIVAL_COVARIANCE))
+
+    last = references[-1:]
+    alone = _quality(found(first.target_T_source, last))
     for name, guess in alternatives:
         if name not in RIVALS:
             continue
-        rival = match(references, source, guess, matcher, Prior(guess, RIVAL_COVARIANCE))
-        if rival.converged and rival.quality > config.margin * first.quality:
+        rival = found(guess, last)
+        step = first.target_T_source.between(rival.target_T_source)
+        if np.hypot(step.x(), step.y()) < APART_M or _quality(rival) < alone:
+            continue
+        if _quality(found(guess, references)) > config.margin * first.quality:
             return True
     return False
 
