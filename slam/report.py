@@ -28,9 +28,14 @@ from slam.metrics import (
     summarise,
 )
 from slam.relations import RelationErrors, nearest_rows, relation_errors
+from slam.report_compare import group_runs, groups_json
+from slam.report_consistency import consistency
+from slam.report_credibility import credibility_figures
 from slam.report_run import Run, read_run
 from slam.report_truth import Truth, find_clock_offset, read_truth, sample
 from slam.trajectory import NS, Poses, Trajectory, between, compose, path_length, wrap
+
+SCHEMA_VERSION = 1  # of report.json, as report.schema.json beside this module describes it
 
 RPE_LENGTHS_M = (1.0, 5.0, 10.0, 50.0)
 
@@ -63,6 +68,7 @@ class SigmaErrors:
     at_m: NDArray[np.float64]  # (n,)
     errors: Poses  # (n, 3)
     sigmas: NDArray[np.float64]  # (n, 3)
+    nees: NDArray[np.float64]  # (n,)
     credibility: Credibility
 
 
@@ -102,7 +108,12 @@ def write_report(
         raise ReportError("no run was given to report on")
     known = read_truth(truth) if truth else None
     reports = tuple(_evaluate(read_run(path), known) for path in run_dirs)
-    document = {"runs": [report.figures for report in reports]}
+    runs, all_figures = [r.run for r in reports], [r.figures for r in reports]
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "runs": all_figures,
+        "groups": groups_json(group_runs(runs, all_figures), runs),
+    }
     figures = json.dumps(document, indent=2, allow_nan=False) + "\n"
     _write_whole(out_html, render(reports))
     _write_whole(out_html.with_suffix(".json"), figures)
@@ -142,25 +153,35 @@ def _evaluate(run: Run, truth: Truth | None) -> RunReport:
             sigmas = _sigma_errors(run, shifted, anchor(pairs.estimate.poses, pairs.truth.poses))
             if sigmas is not None:
                 figures["anees"] = _number(sigmas.credibility.anees)
-                figures["credibility"] = _credibility_band(sigmas.credibility)
-    figures["consistency"] = _consistency(run)
+                figures["credibility"] = credibility_figures(sigmas.credibility)
+    figures["consistency"] = _clean(consistency(run))
     figures["warnings"] = warnings
     return RunReport(run, truth, figures, tuple(warnings), relations, errors, sigmas)
 
 
 def _run_figures(run: Run, truth: Truth | None) -> dict[str, Any]:
-    keys = ("log", "scans", "matches", "keyframes", "loops", "timing", "lost", "version")
+    keys = (
+        "log", "log_sha256", "scans", "matches", "keyframes", "loops", "timing", "lost", "version",
+        "config_sha256", "host",
+    )  # fmt: skip
     return (
         {
             "name": run.name,
             "truth": {"kind": truth.kind, "source": truth.source} if truth else None,
-            "distance_m": float(path_length(run.trajectory.poses)[-1]),
+            "distance_m": _distance(run),
             "duration_s": float(run.trajectory.seconds()[-1]),
             "poses": len(run.trajectory),
         }
         | {key: _clean(run.summary.get(key)) for key in keys}
         | dict.fromkeys(_TRUTH_KEYS)
     )
+
+
+def _distance(run: Run) -> float:
+    """Path through the keyframes; over every scan the jitter of a standing robot adds up."""
+    known = run.keyframes is not None and len(run.keyframes) > 1
+    path = run.keyframes if known and run.keyframes is not None else run.trajectory
+    return float(path_length(path.poses)[-1])
 
 
 def _pair(
@@ -300,38 +321,14 @@ def _sigma_errors(run: Run, truth: Trajectory, truth_T_map: Poses) -> SigmaError
     errors = between(compose(truth_T_map, found), truth.poses[rows[near]])
     errors[:, 2] = wrap(errors[:, 2])
     at, _ = nearest_rows(run.trajectory.stamps_ns, stamps[near], 0.0)
-    variances = np.einsum("nii->ni", covariances)
+    variances, weighed = np.einsum("nii->ni", covariances), nees(errors, covariances)
     return SigmaErrors(
         at_m=path_length(run.trajectory.poses)[at],
         errors=errors,
         sigmas=np.sqrt(np.where(variances >= 0.0, variances, np.nan)),
-        credibility=credibility(nees(errors, covariances)),
+        nees=weighed,
+        credibility=credibility(weighed),
     )
-
-
-def _credibility_band(found: Credibility) -> dict[str, Any]:
-    return {"n": found.n, "low": _number(found.low), "high": _number(found.high)}
-
-
-def _consistency(run: Run) -> dict[str, Any]:
-    """Return what can be said without truth: how well the run's own parts agree."""
-    result: dict[str, Any] = {}
-    loops = [f for f in run.records.factors if f.kind == "loop" and f.used]
-    keyframes = run.keyframes
-    loops = [f for f in loops if keyframes is not None and max(f.i, f.j) < len(keyframes)]
-    if loops and keyframes is not None:
-        i_T_j = between(
-            keyframes.poses[[f.i for f in loops]], keyframes.poses[[f.j for f in loops]]
-        )
-        residual = between(np.array([(f.x, f.y, f.theta) for f in loops]), i_T_j)
-        result["closure_residual_median_m"] = float(np.median(np.hypot(*residual[:, :2].T)))
-        result["closure_residual_max_m"] = float(np.max(np.hypot(*residual[:, :2].T)))
-    if run.odometry is not None and len(run.odometry):
-        pairs = associate(run.odometry, run.trajectory)
-        if len(pairs) > 1:
-            rpe = relative_errors(pairs, pairs_by_path(pairs.truth.poses, 1.0))
-            result["odometry_disagreement_per_m"] = _number(summarise(rpe.trans_m).median)
-    return result
 
 
 def _number(value: float) -> float | None:

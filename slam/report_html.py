@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,31 +12,34 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
-from scipy.stats import t as student_t
+from numpy.typing import NDArray
 
+from logs.messages import LoopVerdict
 from slam.report import RunReport
+from slam.report_charts import charts, comparison_charts
+from slam.report_compare import COLUMNS, Interval, group_runs, lookup
+from slam.report_credibility import explanation
 from slam.report_map import Track, map_figure
-from slam.report_svg import Curve, histogram, line_chart
+from slam.report_run import Run
 from slam.trajectory import path_length
 
 _MOST_CLOSURES = 300  # rows of the closure table
 
-# Columns of the comparison: heading, path into the figures, decimals
-_COLUMNS: tuple[tuple[str, str, int], ...] = (
-    ("matches", "matches", 0),
-    ("keyframes", "keyframes", 0),
-    ("relations mean [m]", "relations.trans_mean_m", 4),
-    ("± std [m]", "relations.trans_std_m", 4),
-    ("rotation mean [°]", "relations.rot_mean_deg", 3),
-    ("± std [°]", "relations.rot_std_deg", 3),
-    ("ATE rmse [m]", "ate_rmse_m", 4),
-    ("ATE median [m]", "ate_median_m", 4),
-    ("final pose [m]", "final_pose_error_m", 4),
-    ("ANEES", "anees", 2),
-    ("wall [s]", "timing.wall_s", 2),
-    ("\N{MULTIPLICATION SIGN} real time", "timing.realtime_factor", 1),
+# The rows of the table of consistency: what it is, where it is, decimals, unit
+_CONSISTENCY = (
+    ("closures against the finished graph, median", "closure_residual_median_m", 4, " m"),
+    ("the same, largest", "closure_residual_max_m", 4, " m"),
+    ("the same in heading, median", "closure_residual_median_deg", 3, "°"),
+    ("odometry against ICP, a keyframe's step, median", "odometry_against_icp_median_m", 4, " m"),
+    ("the same, 95 % below", "odometry_against_icp_p95_m", 4, " m"),
+    ("the same in heading, median", "odometry_against_icp_median_deg", 3, "°"),
+    ("share of steps whose odometry was refused", "odometry_refused_share", 4, ""),
+    ("odometry against trajectory, after each metre", "odometry_disagreement_per_m", 4, " m"),
+    ("map sharpness: thickness of walls, median RMS", "wall_thickness_median_m", 4, " m"),
+    ("the same, 90 % below", "wall_thickness_p90_m", 4, " m"),
+    ("places that this was measured at", "wall_cells", 0, ""),
 )
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 def render(reports: Sequence[RunReport]) -> str:
@@ -65,40 +70,36 @@ def format_number(value: Any, decimals: int = 3) -> str:
 
 
 def _comparison(reports: Sequence[RunReport]) -> dict[str, Any]:
-    """Return headings, a row for each run, and mean ± 95 % interval; nothing for one run."""
-    values = [[_lookup(r.figures, key) for _, key, _ in _COLUMNS] for r in reports]
-    used = [
-        k
-        for k in range(len(_COLUMNS))
-        if len(reports) > 1 and any(row[k] is not None for row in values)
-    ]
-    rows = [
-        (report.run.name, [format_number(row[k], _COLUMNS[k][2]) for k in used])
-        for report, row in zip(reports, values, strict=True)
-    ]
-    means = [_mean_interval([row[k] for row in values], _COLUMNS[k][2]) for k in used]
+    """Return headings, a row for each run and group, and charts; nothing for one run."""
+    figures = [report.figures for report in reports]
+    used = [c for c in COLUMNS if any(lookup(f, c[1]) is not None for f in figures)]
+    if len(reports) < 2:
+        return {"headings": [], "rows": [], "groups": [], "charts": []}
+    groups = group_runs([report.run for report in reports], figures)
     return {
-        "headings": [_COLUMNS[k][0] for k in used],
-        "rows": rows,
-        "means": means if len(reports) > 1 else [],
+        "headings": [heading for heading, _, _ in used],
+        "rows": [
+            (f["name"], [format_number(lookup(f, key), decimals) for _, key, decimals in used])
+            for f in figures
+        ],
+        "groups": [
+            (
+                g.label,
+                len(g.members),
+                [_format_interval(g.values.get(key), d) for _, key, d in used],
+            )
+            for g in groups
+            if len(g.members) > 1
+        ],
+        "charts": comparison_charts(groups),
     }
 
 
-def _lookup(figures: dict[str, Any], key: str) -> float | None:
-    value: Any = figures
-    for part in key.split("."):
-        value = value.get(part) if isinstance(value, dict) else None
-    return value if isinstance(value, int | float) else None
-
-
-def _mean_interval(values: Sequence[float | None], decimals: int) -> str:
-    """Return the mean with the half width of Student's 95 % interval."""
-    known = np.array([value for value in values if value is not None], dtype=np.float64)
-    if len(known) < 2:
+def _format_interval(interval: Interval | None, decimals: int) -> str:
+    if interval is None or interval.n < 2:
         return "\N{EN DASH}"
-    half = student_t.ppf(0.975, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known))
     digits = max(decimals, 1)
-    return f"{format_number(float(known.mean()), digits)} ± {format_number(float(half), digits)}"
+    return f"{format_number(interval.mean, digits)} ± {format_number(interval.half, digits)}"
 
 
 def _run(report: RunReport) -> dict[str, Any]:
@@ -108,7 +109,19 @@ def _run(report: RunReport) -> dict[str, Any]:
         "figures": report.figures,
         "warnings": report.warnings,
         "map": _map(report),
-        "charts": [chart for chart in _charts(report) if chart[1]],
+        "charts": [chart for chart in charts(report) if chart[1]],
+        "credibility": explanation(report.sigmas.credibility, report.run.records.config)
+        if report.sigmas
+        else "",
+        "consistency": [
+            (label, report.figures["consistency"][key], decimals, unit)
+            for label, key, decimals, unit in _CONSISTENCY
+            if key in report.figures["consistency"]
+        ],
+        "timing": _timing(report.figures),
+        "config": json.dumps(report.run.records.config, indent=2)
+        if report.run.records.config
+        else "",
         "keyframes": _keyframe_counts(report),
         "closures": _closures(report),
         "provenance": _provenance(report),
@@ -116,83 +129,28 @@ def _run(report: RunReport) -> dict[str, Any]:
 
 
 def _map(report: RunReport) -> dict[str, Any]:
-    tracks = [Track("SLAM", "a", report.run.trajectory.poses)]
+    run = report.run
+    tracks = [Track("SLAM", "a", run.trajectory.poses)]
     if report.errors is not None and len(report.errors.truth_in_map) > 1:
         tracks.append(Track("truth", "c", report.errors.truth_in_map))
-    if report.run.odometry is not None and len(report.run.odometry):
-        tracks.append(Track("odometry", "b", report.run.odometry.poses))
-    return {"svg": map_figure(report.run.grid, tracks), "keys": [(t.name, t.style) for t in tracks]}
+    if run.odometry is not None and len(run.odometry):
+        tracks.append(Track("odometry", "b", run.odometry.poses))
+    keys = [(track.name, track.style) for track in tracks]
+    links = _closure_links(run)
+    if len(links):
+        keys.append(("closures", "d"))
+    return {"svg": map_figure(run.grid, tracks, links), "keys": keys}
 
 
-def _charts(report: RunReport) -> list[tuple[str, Markup]]:
-    charts: list[tuple[str, Markup]] = []
-    if report.relations is not None:
-        charts.append(
-            (
-                "Relations: translational error",
-                histogram(report.relations.trans_m, "error of a relation [m]"),
-            )
-        )
-        charts.append(
-            (
-                "Relations: rotational error",
-                histogram(report.relations.rot_deg, "error of a relation [°]"),
-            )
-        )
-        start = report.run.trajectory.stamps_ns[0]
-        at_s = (report.relations.at_ns - start) / 1e9
-        order = np.argsort(at_s, kind="stable")
-        curve = Curve("error", "a", at_s[order], report.relations.trans_m[order])
-        charts.append(
-            ("Relations over time", line_chart([curve], "time [s]", "error of a relation [m]"))
-        )
-    return charts + _error_charts(report) + _sigma_charts(report) + _keyframe_charts(report)
-
-
-def _error_charts(report: RunReport) -> list[tuple[str, Markup]]:
-    errors = report.errors
-    if errors is None or len(errors.trans_m) < 2:
-        return []
-    by_time = Curve("position", "a", errors.at_s, errors.trans_m)
-    by_path = Curve("position", "a", errors.at_m, errors.trans_m)
-    heading = Curve("heading", "b", errors.at_m, errors.rot_deg)
-    return [
-        ("Position error over time", line_chart([by_time], "time [s]", "error [m]")),
-        ("Position error over distance", line_chart([by_path], "travelled [m]", "error [m]")),
-        ("Heading error over distance", line_chart([heading], "travelled [m]", "error [°]")),
-    ]
-
-
-def _sigma_charts(report: RunReport) -> list[tuple[str, Markup]]:
-    if report.sigmas is None:
-        return []
-    at, charts = report.sigmas.at_m, []
-    for k, (axis, unit, scale) in enumerate(
-        (("x", "m", 1.0), ("y", "m", 1.0), ("θ", "°", 180 / math.pi))
-    ):
-        error = Curve("error", "a", at, np.abs(report.sigmas.errors[:, k]) * scale)
-        sigma = Curve("2 sigma claimed", "b", at, 2.0 * report.sigmas.sigmas[:, k] * scale)
-        chart = line_chart([error, sigma], "travelled [m]", f"|error in {axis}| [{unit}]")
-        charts.append((f"Error and claimed sigma, {axis} of the base", chart))
-    return charts
-
-
-def _keyframe_charts(report: RunReport) -> list[tuple[str, Markup]]:
-    decisions = report.run.records.decisions
-    if len(decisions) < 2:
-        return []
-    travelled = np.cumsum([d.travelled_m for d in decisions])
-    columns = np.array([(d.travelled_m, d.interval_m, d.t_pe) for d in decisions])
-    between = Curve("travelled", "a", travelled[1:], columns[1:, 0])
-    chosen = Curve("chosen", "b", travelled[1:], columns[1:, 1])
-    complexity = Curve("T_PE", "c", travelled, columns[:, 2])
-    return [
-        (
-            "Keyframe interval along the path",
-            line_chart([between, chosen], "travelled [m]", "interval [m]"),
-        ),
-        ("T_PE along the path", line_chart([complexity], "travelled [m]", "T_PE")),
-    ]
+def _closure_links(run: Run) -> NDArray[np.float64]:
+    """(n, 4) where the accepted closures begin and end."""
+    used = [f for f in run.records.factors if f.kind == "loop" and f.used]
+    keyframes = run.keyframes
+    known = [f for f in used if keyframes is not None and max(f.i, f.j) < len(keyframes)]
+    if keyframes is None or not known:
+        return np.zeros((0, 4))
+    ends = [keyframes.poses[[getattr(f, end) for f in known], :2] for end in ("i", "j")]
+    return np.concatenate(ends, axis=1)
 
 
 def _keyframe_counts(report: RunReport) -> dict[str, Any] | None:
@@ -210,6 +168,17 @@ def _keyframe_counts(report: RunReport) -> dict[str, Any] | None:
     }
 
 
+def _timing(figures: dict[str, Any]) -> list[tuple[str, Any]]:
+    timing = figures["timing"] or {}
+    rows = [(key, value) for key, value in timing.items() if not isinstance(value, dict)]
+    return rows + [
+        (f"of it {name}, s" if key == "stages_s" else f"{key}: {name}", value)
+        for key, values in timing.items()
+        if isinstance(values, dict)
+        for name, value in values.items()
+    ]
+
+
 def _closures(report: RunReport) -> dict[str, Any]:
     verdicts = report.run.records.verdicts
     start = report.run.trajectory.stamps_ns[0]
@@ -224,14 +193,22 @@ def _closures(report: RunReport) -> dict[str, Any]:
             "second_score": v.second_score,
             "chi_square": v.chi_square,
         }
-        for v in sorted(verdicts, key=lambda v: not v.accepted)[:_MOST_CLOSURES]
+        for v in _spread(verdicts)
     ]
     return {
         "n": len(verdicts),
         "accepted": sum(v.accepted for v in verdicts),
-        "refusals": Counter(v.reason for v in verdicts if not v.accepted).most_common(),
+        "refusals": Counter(
+            _NUMBER.sub("\N{HORIZONTAL ELLIPSIS}", v.reason) for v in verdicts if not v.accepted
+        ).most_common(),
         "rows": rows,
     }
+
+
+def _spread(verdicts: Sequence[LoopVerdict]) -> list[LoopVerdict]:
+    """As many as the table takes, evenly over the run."""
+    step = max(1, math.ceil(len(verdicts) / _MOST_CLOSURES))
+    return list(verdicts[::step])
 
 
 def _provenance(report: RunReport) -> list[tuple[str, Any]]:

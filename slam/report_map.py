@@ -30,13 +30,19 @@ class Track:
     poses: Poses
 
 
-def map_figure(grid: OccupancyMap | None, tracks: Sequence[Track]) -> Markup:
-    """Draw tracks in metres over the known part of the map."""
+def map_figure(
+    grid: OccupancyMap | None, tracks: Sequence[Track], links: Values | None = None
+) -> Markup:
+    """Draw tracks in metres over the known part of the map, and links (n, 4) between places."""
     left, bottom, right, top = _view(grid, tracks)
     width, height = right - left, top - bottom
     parts: list[Markup] = []
     if grid is not None:
         parts.append(_map_image(grid, left, top))
+    if links is not None and len(links):
+        ends = links * [1.0, -1.0, 1.0, -1.0] + [-left, top, -left, top]
+        d = "".join(f"M{a:.2f} {b:.2f}L{c:.2f} {e:.2f}" for a, b, c, e in ends)
+        parts.append(Markup('<path class="track d" d="{}"/>').format(d))
     for track in reversed(tracks):  # so that the first lies on top
         points = _simplified(track.poses[:, :2], 0.0005 * max(width, height))
         d = svg_path(points[:, 0] - left, top - points[:, 1], digits=3)

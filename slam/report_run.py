@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import numpy as np
 from logs.messages import (
     FactorRecord,
     KeyframeDecision,
+    LaserMount,
+    LaserScan,
     LoopVerdict,
     Message,
     OccupancyMap,
@@ -23,7 +25,8 @@ from slam.errors import ReportError
 from slam.nav2_map import read_nav2_map
 from slam.trajectory import Trajectory, read_tum, sorted_trajectory
 
-TOPICS = ("/truth", "/keyframe", "/loop", "/factor", "/pose")
+TOPICS = ("/truth", "/keyframe", "/loop", "/factor", "/pose", "/tf")
+CONFIG = "config.json"  # the attachment with the effective settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,9 @@ class RunRecords:
     verdicts: tuple[LoopVerdict, ...] = ()
     factors: tuple[FactorRecord, ...] = ()
     estimates: tuple[PoseEstimate, ...] = ()
+    scans: tuple[LaserScan, ...] = ()  # of keyframes
+    mount: LaserMount | None = None
+    config: Mapping[str, Any] = field(default_factory=dict)  # the run's effective settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,20 +129,38 @@ def _read_records(path: Path, warnings: list[str]) -> RunRecords:
         warnings.append("run.mcap is missing: decisions, closures and covariances are unknown")
         return RunRecords()
     messages: list[Message] = []
+    config: Mapping[str, Any] = {}
     try:
         with open_log(path) as log:
             messages.extend(log.messages(TOPICS))
+            kept = {m.stamp_ns for m in messages if isinstance(m, KeyframeDecision)}
+            messages.extend(m for m in log.messages(("/scan",)) if m.stamp_ns in kept)
+            for attachment in log.attachments():
+                if attachment.name == CONFIG:
+                    config = _read_config(attachment.data, warnings)
             warnings += [f"run.mcap: {n} skipped, {cause}" for cause, n in log.skipped.items()]
     except LogError as error:
         warnings.append(f"run.mcap is damaged, read {len(messages)} messages of it: {error}")
-    return collect_records(messages)
+    return replace(collect_records(messages), config=config)
+
+
+def _read_config(data: bytes, warnings: list[str]) -> Mapping[str, Any]:
+    try:
+        config = json.loads(data)
+    except ValueError:
+        config = None
+    if not isinstance(config, dict):
+        warnings.append(f"run.mcap: {CONFIG} cannot be read: the settings are unknown")
+        return {}
+    return config
 
 
 def collect_records(messages: Iterable[Message]) -> RunRecords:
     """Sort messages by kind; others are ignored."""
-    kept: dict[type, list[Any]] = {
-        kind: [] for kind in (TruePose, KeyframeDecision, LoopVerdict, FactorRecord, PoseEstimate)
-    }
+    kinds = (
+        TruePose, KeyframeDecision, LoopVerdict, FactorRecord, PoseEstimate, LaserScan, LaserMount
+    )  # fmt: skip
+    kept: dict[type, list[Any]] = {kind: [] for kind in kinds}
     for message in messages:
         kept.get(type(message), []).append(message)
     truth = kept[TruePose]
@@ -148,4 +172,6 @@ def collect_records(messages: Iterable[Message]) -> RunRecords:
         verdicts=tuple(kept[LoopVerdict]),
         factors=tuple(kept[FactorRecord]),
         estimates=tuple(kept[PoseEstimate]),
+        scans=tuple(kept[LaserScan]),
+        mount=kept[LaserMount][-1] if kept[LaserMount] else None,
     )

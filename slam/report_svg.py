@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 560, 220
+WIDTH, _HEIGHT = 560, 220
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 26, 40
 _MOST_POINTS = 600  # of a curve: about one a pixel, each with its low and high
 
@@ -42,7 +42,7 @@ def line_chart(curves: Sequence[Curve], x_label: str, y_label: str) -> Markup:
         parts.append(Markup('<path class="curve {}" d="{}"/>').format(curve.style, svg_path(x, y)))
     if len(curves) > 1:
         parts.append(_legend(curves))
-    return _figure(parts)
+    return figure(parts)
 
 
 def histogram(values: Values, x_label: str, bins: int = 40) -> Markup:
@@ -57,14 +57,14 @@ def histogram(values: Values, x_label: str, bins: int = 40) -> Markup:
     x_range, y_range = (0.0, end), (0.0, float(counts.max()) * 1.05 + 1e-9)
     parts = [_axes(x_range, y_range, label, "count")]
     x, top = _to_pixels(edges[:-1], x_range, y_range, counts.astype(np.float64))
-    width = (_WIDTH - _LEFT - _RIGHT) / bins
+    width = (WIDTH - _LEFT - _RIGHT) / bins
     bars = "".join(
         f"M{a:.1f} {_HEIGHT - _BOTTOM}V{b:.1f}h{width - 1:.1f}V{_HEIGHT - _BOTTOM}z"
         for a, b, n in zip(x, top, counts, strict=True)
         if n
     )
     parts.append(Markup('<path class="bars" d="{}"/>').format(bars))
-    return _figure(parts)
+    return figure(parts)
 
 
 def _thinned(curve: Curve) -> Curve:
@@ -92,7 +92,7 @@ def _range(arrays: Sequence[Values], zero: bool) -> tuple[float, float]:
 def _to_pixels(
     x: Values, x_range: tuple[float, float], y_range: tuple[float, float], y: Values
 ) -> tuple[Values, Values]:
-    across, up = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
+    across, up = WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
     return (
         _LEFT + (x - x_range[0]) / (x_range[1] - x_range[0]) * across,
         _HEIGHT - _BOTTOM - (y - y_range[0]) / (y_range[1] - y_range[0]) * up,
@@ -102,10 +102,10 @@ def _to_pixels(
 def _axes(
     x_range: tuple[float, float], y_range: tuple[float, float], x_label: str, y_label: str
 ) -> Markup:
-    x_ticks, y_ticks = _ticks(x_range, 7), _ticks(y_range, 5)
+    x_ticks, y_ticks = ticks(x_range, 7), ticks(y_range, 5)
     x, _ = _to_pixels(x_ticks, x_range, y_range, np.zeros_like(x_ticks))
     _, y = _to_pixels(np.zeros_like(y_ticks), x_range, y_range, y_ticks)
-    base, end = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT
+    base, end = _HEIGHT - _BOTTOM, WIDTH - _RIGHT
     parts = [
         Markup(
             '<path class="grid" d="M{} {:.1f}H{}"/><text class="y" x="{}" y="{:.1f}">{:g}</text>'
@@ -130,7 +130,8 @@ def _axes(
     return Markup("").join(parts)
 
 
-def _ticks(limits: tuple[float, float], about: int) -> Values:
+def ticks(limits: tuple[float, float], about: int) -> Values:
+    """Return about so many round numbers within the limits."""
     step = nice_step((limits[1] - limits[0]) / about)
     first, last = math.ceil(limits[0] / step - 1e-9), math.floor(limits[1] / step + 1e-9)
     return np.array([float(f"{k * step:.12g}") for k in range(first, last + 1)])
@@ -162,7 +163,8 @@ def svg_path(x: Values, y: Values, digits: int = 1) -> str:
     return "M" + "L".join(points) if points else ""
 
 
-def _figure(parts: Sequence[Markup]) -> Markup:
+def figure(parts: Sequence[Markup], height: float = _HEIGHT) -> Markup:
+    """Return the drawing of these parts."""
     return Markup('<svg class="chart" role="img" viewBox="0 0 {} {}">{}</svg>').format(
-        _WIDTH, _HEIGHT, Markup("").join(parts)
+        WIDTH, height, Markup("").join(parts)
     )

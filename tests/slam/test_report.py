@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import slam.report
 from logs.mcap_log import LogWriter
 from logs.messages import (
     FactorRecord,
     KeyframeDecision,
+    LaserMount,
     LaserScan,
     LoopVerdict,
     PoseEstimate,
@@ -27,7 +29,14 @@ from slam.report_truth import find_clock_offset, read_truth
 from slam.trajectory import NS, Trajectory, compose, path_length, write_tum
 
 START_NS = 1_700_000_000 * NS
+SCHEMA = Path(slam.report.__file__).with_name("report.schema.json")
 HOSTILE = "<script>alert('x')</script>&"
+
+
+CONFIG = {
+    "keyframes": {"method": "sdp-pe", "unit": "metres"},
+    "graph": {"match_sigma_trans": 0.008, "match_sigma_rot": 0.004},
+}
 
 
 def drive(n: int = 1200, seed: int = 1) -> Trajectory:
@@ -65,6 +74,16 @@ def square_scan(stamp_ns: int, pose: np.ndarray) -> LaserScan:
     return LaserScan(stamp_ns, angles[0], math.radians(3.0), reach.astype(np.float32))
 
 
+def checked_json(path: Path) -> dict:
+    """Read a report.json that is as its schema says."""
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads(SCHEMA.read_text())
+    document = json.loads(path.read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.Draft202012Validator(schema).validate(document)
+    return document
+
+
 def make_run(
     directory: Path, truth: Trajectory, truth_in_log: bool = True, seed: int = 2
 ) -> Trajectory:
@@ -92,6 +111,10 @@ def make_run(
     }
     (directory / "summary.json").write_text(json.dumps(summary))
     with LogWriter(directory / "run.mcap") as log:
+        log.add_attachment("config.json", json.dumps(CONFIG).encode(), "application/json")
+        log.write(LaserMount(int(truth.stamps_ns[0]), 0.0, 0.0, 0.0))
+        for scan in scans:
+            log.write(scan)
         write_records(log, truth, estimate, rows, truth_in_log)
     return estimate
 
@@ -119,6 +142,13 @@ def write_records(log, truth, estimate, rows, truth_in_log) -> None:
     i, j = 3, len(rows) - 2
     log.write(LoopVerdict(stamps[-9], i, j, True, "accepted", 0.91, 0.4, 2.5))
     log.write(LoopVerdict(stamps[-5], i + 1, j, False, HOSTILE, 0.5, 0.48, math.nan))
+    for k in range(1, len(rows)):
+        covariance = tuple((1e-4 * np.eye(3)).ravel().tolist())
+        step = (0.5, 0.0, 0.0)
+        log.write(FactorRecord(stamps[rows[k]], "icp", k - 1, k, *step, covariance))
+        wheels = (0.53, 0.04, 0.0)
+        used = k % 10 != 0
+        log.write(FactorRecord(stamps[rows[k]], "odometry", k - 1, k, *wheels, covariance, used))
     loop = (0.05, 0.02, 0.0)
     log.write(FactorRecord(stamps[-9], "loop", i, j, *loop, tuple(np.eye(3).ravel().tolist())))
 
@@ -166,6 +196,9 @@ def test_truth_in_the_log_is_used_by_itself(run):
     assert figures["timing"]["wall_s"] == 2.5
     assert figures["consistency"]["closure_residual_median_m"] > 0.0
     assert figures["consistency"]["odometry_disagreement_per_m"] > 0.0
+    assert figures["consistency"]["odometry_against_icp_median_m"] == pytest.approx(0.05)
+    assert figures["consistency"]["odometry_refused_share"] == pytest.approx(9 / 99)
+    assert figures["consistency"]["wall_thickness_median_m"] > 0.0
 
 
 def test_a_perfect_run_has_no_error(tmp_path, truth):
@@ -238,10 +271,16 @@ def test_one_page_and_one_json(run, tmp_path, truth):
     assert HOSTILE not in text
     assert text.count("&lt;script&gt;") >= 2
     assert page.tags.count("svg") >= 2 * 8
-    assert "mean ± 95 %" in text
+    assert "Means ± 95 % interval, by settings" in text
+    assert "Final pose error" in text
     shown = re.sub(r"base64,[^\"]+|<script>.*</script>", "", text, flags=re.DOTALL)
     assert not re.search(r"\b(nan|inf|None)\b", shown)
-    document = json.loads((tmp_path / "report.json").read_text())
+    document = checked_json(tmp_path / "report.json")
+    (group,) = document["groups"]
+    assert (group["label"], group["runs"]) == ("all runs", ["run", "second"])
+    finals = [r["final_pose_error_m"] for r in document["runs"]]
+    assert group["means"]["final_pose_error_m"]["mean"] == pytest.approx(np.mean(finals))
+    assert group["means"]["final_pose_error_m"]["half95"] > 0.0
     assert [r["name"] for r in document["runs"]] == ["run", "second"]
     assert document["runs"][0]["timing"]["match_us_median"] is None
     assert document["runs"][0]["ate_rmse_m"] == reports[0].figures["ate_rmse_m"]
@@ -262,6 +301,7 @@ def bare_run(directory: Path, trajectory: Trajectory) -> Path:
 def test_a_bare_trajectory_without_truth_is_an_honest_partial_report(tmp_path, truth):
     run = bare_run(tmp_path / "run", truth)
     (report,) = write_report([run], None, tmp_path / "r.html")
+    checked_json(tmp_path / "r.json")
     for word in ("keyframes.tum", "odometry.tum", "no map", "summary.json", "run.mcap", "no truth"):
         assert any(word in warning for warning in report.warnings)
         assert word in (tmp_path / "r.html").read_text()
@@ -272,6 +312,7 @@ def test_one_pose_is_reported(tmp_path, truth):
     run = bare_run(tmp_path / "run", truth.select(np.arange(1)))
     write_tum(tmp_path / "truth.tum", truth)
     (report,) = write_report([run], tmp_path / "truth.tum", tmp_path / "r.html")
+    checked_json(tmp_path / "r.json")
     assert report.figures["pairs"] == 1
     assert report.figures["ate_rmse_m"] is None
 
@@ -281,7 +322,8 @@ def test_poses_that_are_not_finite_are_counted_and_left_out(tmp_path, truth):
     poses[5:8] = math.nan
     run = bare_run(tmp_path / "run", Trajectory(truth.stamps_ns, poses))
     write_tum(tmp_path / "truth.tum", truth)
-    report = evaluate(run, tmp_path / "truth.tum")
+    (report,) = write_report([run], tmp_path / "truth.tum", tmp_path / "r.html")
+    checked_json(tmp_path / "r.json")
     assert "trajectory.tum: 3 of 1200 poses are not finite and are left out" in report.warnings
     assert report.figures["ate_rmse_m"] < 1e-12
 
@@ -299,6 +341,7 @@ def test_truth_of_another_day_is_said(tmp_path, run):
     poses = np.cumsum(rng.normal(0, 0.1, (400, 3)), axis=0)
     write_tum(tmp_path / "other.tum", Trajectory(other.stamps_ns + 86_400 * NS, poses))
     (report,) = write_report([run], tmp_path / "other.tum", tmp_path / "r.html")
+    checked_json(tmp_path / "r.json")
     assert any("no pose of the run has a true one" in warning for warning in report.warnings)
     assert report.figures["ate_rmse_m"] is None
 
