@@ -32,12 +32,13 @@ def import_log(file: Path, out: Path) -> ImportReport:
     imported = read_any(file)
     identity = {"source": file.name, "imported_from": imported.kind}
     with LogWriter(out, identity, keep_partial=False) as log:
+        messages = scans = 0
         for message, receipt_ns in imported.received():
             log.write(message, receipt_ns)
+            messages += 1
+            scans += isinstance(message, LaserScan)
         counts = {**imported.skipped, **imported.changed, **imported.ignored}
         log.add_metadata("import", {cause: str(count) for cause, count in counts.items()})
-    scans = sum(isinstance(message, LaserScan) for message in imported.messages)
     return ImportReport(
-        imported.kind, len(imported.messages), scans,
-        imported.changed, imported.skipped, imported.ignored,
-    )  # fmt: skip
+        imported.kind, messages, scans, imported.changed, imported.skipped, imported.ignored
+    )

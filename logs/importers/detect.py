@@ -11,7 +11,7 @@ from logs.importers import g2o_scans
 from logs.importers.breezyslam import FIELDS, read_breezyslam
 from logs.importers.carmen import KINDS, read_carmen
 from logs.importers.g2o_scans import read_g2o_scans
-from logs.importers.imported import ImportedLog
+from logs.importers.imported import ImportedLog, StreamedLog
 from logs.importers.rosbag import read_rosbag
 from logs.importers.text_lines import lines
 from logs.mcap_file import MAGIC
@@ -27,7 +27,7 @@ _ROS_PROFILES = (b"ros2", b"ros1")
 _PROFILE_AT = len(MAGIC) + 9  # behind the opcode and length of the header record
 
 
-def read_any(path: Path | str) -> ImportedLog:
+def read_any(path: Path | str) -> ImportedLog | StreamedLog:
     """Read a foreign log of any kind that is supported.
 
     Raises:

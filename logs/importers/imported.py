@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 from logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
-
-_Stamped = WheelOdometry | LaserScan
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,6 +27,21 @@ class ImportedLog:
             yield from zip(self.messages, self.receipts_ns, strict=True)
         else:
             yield from ((message, None) for message in self.messages)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StreamedLog:
+    """A foreign log too large to hold: like `ImportedLog`, but read anew each time it is asked."""
+
+    kind: str
+    read: Callable[[], Iterator[tuple[SensorMessage, int]]]
+    skipped: Counter[str]
+    changed: Counter[str]
+    ignored: Counter[str]
+
+    def received(self) -> Iterator[tuple[SensorMessage, int]]:
+        """Yield each message with its time of receipt."""
+        return self.read()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,23 +66,6 @@ def in_stamp_order(readings: Iterable[Reading], changed: Counter[str]) -> list[R
     if again := len(scan_stamps) - len(set(scan_stamps)):
         changed["scans with the stamp of another, kept"] += again
     return sorted(listed, key=lambda reading: reading.odometry.stamp_ns)
-
-
-def ordered(
-    received: Iterable[tuple[int, _Stamped]], changed: Counter[str]
-) -> list[tuple[int, _Stamped]]:
-    """Return messages with their times of receipt by stamp, odometry before a scan.
-
-    Counts what `in_stamp_order` counts, per channel.
-    """
-    listed = list(received)
-    for kind in (WheelOdometry, LaserScan):
-        stamps = [m.stamp_ns for _, m in listed if isinstance(m, kind)]
-        if backwards := sum(b < a for a, b in pairwise(stamps)):
-            changed["stamps that ran backwards, put in order"] += backwards
-        if kind is LaserScan and (again := len(stamps) - len(set(stamps))):
-            changed["scans with the stamp of another, kept"] += again
-    return sorted(listed, key=lambda item: (item[1].stamp_ns, isinstance(item[1], LaserScan)))
 
 
 def as_messages(

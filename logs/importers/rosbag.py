@@ -8,14 +8,17 @@ Rules for what a bag leaves open:
 - the mount is the chain of transforms from base_link (base_footprint, base) to the scan's
   frame; a laser that hangs upside down has its beams mirrored; without transforms the
   laser is taken to sit on the base, and that is counted;
+- a bag is read twice, for the order of its stamps and for its messages, and never held;
 - ranges follow REP 117: inf is "nothing came back", also from `range_max` on; -inf (too
   near), nan, and readings nearer than `range_min` become nan.
 """
 
 from __future__ import annotations
 
+import heapq
 import sqlite3
 import struct
+from array import array
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
@@ -23,12 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logs.errors import LogError, shown
-from logs.importers.imported import ImportedLog, ordered
+from logs.importers.imported import StreamedLog
 from logs.importers.ros_frames import TILT_RAD, FrameTree, Mount, plain, yaw_of
 from logs.importers.ros_messages import mirrored, scan_of, stamp_of
-from logs.messages import LaserMount, LaserScan, WheelOdometry
+from logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
 from logs.schemas import STAMP_LIMIT
 
 _SCAN = "sensor_msgs/msg/LaserScan"
@@ -37,23 +41,33 @@ _TF = "tf2_msgs/msg/TFMessage"
 _TF_OLD = "tf/msg/tfMessage"
 BEAMS_LIMIT = 100_000
 
+_Stamped = WheelOdometry | LaserScan
+
 
 def read_rosbag(
     path: Path | str, *, scan_topic: str = "", odometry_topic: str = "", base_frame: str = ""
-) -> ImportedLog:
-    """Read a bag into messages in stamp order; `path` is a .bag, .mcap or .db3 file or a folder.
+) -> StreamedLog:
+    """Look through a bag; its messages are then read in stamp order, however large it is.
+
+    `path` is a .bag, .mcap or .db3 file or a folder.
 
     Raises:
         LogError: if it cannot be read, holds no usable scan, or rosbags is not installed.
     """
     path = Path(path)
-    with closing(_open(path)) as reader:
-        bag = _Bag(reader, _choose(reader, _SCAN, scan_topic, "/scan"), base_frame)
-        odometry = _choose(reader, _ODOMETRY, odometry_topic, "/odom")
-        bag.read(path, odometry)
-    if not bag.scans:
-        raise LogError(f"{path}: {_nothing_found(bag, scan_topic)}")
-    return bag.finish()
+    bag = _Bag(path, scan_topic, odometry_topic)
+    survey = _Survey()
+    for receipt_ns, message in bag.readings(survey):
+        survey.note(receipt_ns, message)
+    if not survey.scans:
+        raise LogError(f"{path}: {_nothing_found(survey, scan_topic)}")
+    mount = survey.mount(base_frame)
+    order = survey.order()
+
+    def read() -> Iterator[tuple[SensorMessage, int]]:
+        return _placed(bag.readings(_Survey()), order, mount)
+
+    return StreamedLog("ROS bag", read, survey.skipped, survey.changed, survey.ignored)
 
 
 def _open(path: Path) -> Any:
@@ -90,119 +104,171 @@ def _choose(reader: Any, kind: str, asked: str, usual: str) -> str:
     return usual if counts.get(usual) else min(counts, key=lambda topic: (-counts[topic], topic))
 
 
-def _nothing_found(bag: _Bag, asked: str) -> str:
+def _nothing_found(survey: _Survey, asked: str) -> str:
     if asked:
         return f"holds no LaserScan on {shown(asked)}: name another topic"
-    if bag.skipped:
-        cause, count = bag.skipped.most_common(1)[0]
+    if survey.skipped:
+        cause, count = survey.skipped.most_common(1)[0]
         return f"no usable scan: {count} x {cause}"
     return "holds no sensor_msgs/LaserScan"
 
 
-class _Bag:
-    """One pass over a bag."""
+def _placed(
+    readings: Iterator[tuple[int, _Stamped]], ranks: NDArray[np.int64], mount: Mount
+) -> Iterator[tuple[SensorMessage, int]]:
+    """Yield the mount, then the readings by rank; only those that came too early are held."""
+    waiting: list[tuple[int, int, _Stamped]] = []  # a heap: rank, time of receipt, message
+    emitted = 0
+    for rank, (receipt_ns, message) in zip(ranks.tolist(), readings, strict=True):
+        heapq.heappush(waiting, (rank, receipt_ns, message))
+        while waiting and waiting[0][0] == emitted:
+            _, receipt, ready = heapq.heappop(waiting)
+            if emitted == 0:
+                yield LaserMount(ready.stamp_ns, mount.x, mount.y, mount.theta), receipt
+            if isinstance(ready, LaserScan) and mount.upside_down:
+                ready = mirrored(ready)
+            yield ready, receipt
+            emitted += 1
 
-    def __init__(self, reader: Any, scan_topic: str, base_frame: str) -> None:
-        self.scans: list[tuple[int, LaserScan]] = []  # time of receipt, message
-        self.odometry: list[tuple[int, WheelOdometry]] = []
+
+class _Survey:
+    """What must be known of a whole bag before its first message can be written."""
+
+    def __init__(self) -> None:
         self.skipped: Counter[str] = Counter()
         self.changed: Counter[str] = Counter()
         self.ignored: Counter[str] = Counter()
-        self._reader, self._scan_topic, self._base = reader, scan_topic, base_frame
-        self._frames = FrameTree()
-        self._laser = ""
+        self.frames = FrameTree()
+        self.laser = ""  # frame of the scans
+        self.scans = 0
+        self._stamps = array("q")
+        self._is_scan = bytearray()
 
-    def read(self, path: Path, odometry_topic: str) -> None:
-        """Read what is of use and count the rest."""
-        wanted = []
-        for connection in self._reader.connections:
-            ours = connection.topic in (self._scan_topic, odometry_topic)
-            if connection.msgtype in (_TF, _TF_OLD) or (
-                ours and connection.msgtype in (_SCAN, _ODOMETRY)
-            ):
-                wanted.append(connection)
-            elif connection.msgcount:
-                kind = "another laser" if connection.msgtype == _SCAN else connection.msgtype
-                self.ignored[f"{shown(connection.topic)} ({shown(kind)})"] += connection.msgcount
-        if not wanted:
-            return
-        for kind, receipt_ns, message in self._messages(wanted):
-            if kind == _SCAN:
-                self._take_scan(receipt_ns, message)
-            elif kind == _ODOMETRY:
-                self._take_odometry(receipt_ns, message)
-            else:
-                for transform in message.transforms:
-                    self._frames.add(transform)
+    def note(self, receipt_ns: int, message: _Stamped) -> None:
+        """Take in one reading."""
+        is_scan = isinstance(message, LaserScan)
+        self.scans += is_scan
+        self._stamps.append(message.stamp_ns)
+        self._is_scan.append(is_scan)
 
-    def _messages(self, wanted: list[Any]) -> Iterator[tuple[str, int, Any]]:
-        """Yield kind, time of receipt and message; damage is counted, not raised."""
-        from rosbags.highlevel import AnyReaderError
-        from rosbags.rosbag1 import ReaderError as Reader1Error
-        from rosbags.rosbag2 import ReaderError as Reader2Error
-        from rosbags.serde import SerdeError
-
-        records = self._reader.messages(connections=wanted)
-        while True:
-            try:
-                connection, receipt_ns, data = next(records)
-            except StopIteration:
-                return
-            except (AnyReaderError, Reader1Error, Reader2Error, *_BAG_ERRORS):
-                self.skipped["rest of the bag: it is damaged or cut off"] += 1
-                return
-            try:
-                message = self._reader.deserialize(data, connection.msgtype)
-            except (AnyReaderError, SerdeError, *_BAG_ERRORS):
-                self.skipped[f"{shown(connection.topic)}: malformed message"] += 1
-                continue
-            yield connection.msgtype, receipt_ns, message
-
-    def _take_scan(self, receipt_ns: int, message: Any) -> None:
-        stamp_ns = stamp_of(message.header.stamp)
-        n = len(message.ranges)
-        geometry = (message.angle_min, message.angle_increment)
-        if not 0 <= stamp_ns < STAMP_LIMIT or not 0 < n <= BEAMS_LIMIT:
-            self.skipped["scan without beams or time"] += 1
-            return
-        if not (np.isfinite(geometry).all() and message.angle_increment):
-            self.skipped["scan without angles"] += 1
-            return
-        self._laser = self._laser or message.header.frame_id
-        if plain(message.header.frame_id) != plain(self._laser):
-            self.skipped["scan of another frame on the same topic"] += 1
-            return
-        self.scans.append((receipt_ns, scan_of(message)))
-
-    def _take_odometry(self, receipt_ns: int, message: Any) -> None:
-        stamp_ns, pose = stamp_of(message.header.stamp), message.pose.pose
-        x, y, theta = pose.position.x, pose.position.y, yaw_of(pose.orientation)
-        if not 0 <= stamp_ns < STAMP_LIMIT or not np.isfinite((x, y, theta)).all():
-            self.skipped["odometry without a finite pose or time"] += 1
-            return
-        self.odometry.append((receipt_ns, WheelOdometry(stamp_ns, x, y, theta)))
-
-    def finish(self) -> ImportedLog:
-        """Place the laser and put everything in order."""
-        mount = self._frames.mount(self._laser, self._base)
+    def mount(self, base_frame: str) -> Mount:
+        """Where the laser sits, by the bag's transforms."""
+        mount = self.frames.mount(self.laser, base_frame)
         if mount is None:
             mount = Mount(0.0, 0.0, 0.0, False, 0.0)
             self.changed["no transform from the base to the laser, taken to be none"] += 1
         if mount.tilt > TILT_RAD:
             self.changed["the laser is tilted, its scans are taken as level"] += 1
-        scans = self.scans
-        if mount.upside_down:
-            scans = [(receipt, mirrored(scan)) for receipt, scan in scans]
-        if not self.odometry:
+        if self.scans == len(self._stamps):
             self.changed["no odometry in the bag"] += 1
-        readings = ordered([*self.odometry, *scans], self.changed)
-        first_receipt, first = readings[0]
-        placed = LaserMount(first.stamp_ns, mount.x, mount.y, mount.theta)
-        return ImportedLog(
-            "ROS bag",
-            [placed, *(message for _, message in readings)],
-            self.skipped,
-            self.changed,
-            self.ignored,
-            [first_receipt, *(receipt for receipt, _ in readings)],
-        )
+        return mount
+
+    def order(self) -> NDArray[np.int64]:
+        """The place of each reading, (n,), by stamp, odometry before a scan; oddities counted."""
+        stamps = np.frombuffer(self._stamps, dtype=np.int64)
+        is_scan = np.frombuffer(self._is_scan, dtype=np.uint8)
+        for kind in (0, 1):
+            own = stamps[is_scan == kind]
+            if backwards := int(np.count_nonzero(np.diff(own) < 0)):
+                self.changed["stamps that ran backwards, put in order"] += backwards
+            if kind and (again := len(own) - len(np.unique(own))):
+                self.changed["scans with the stamp of another, kept"] += again
+        ranks = np.empty(len(stamps), dtype=np.int64)
+        ranks[np.lexsort((is_scan, stamps))] = np.arange(len(stamps))
+        return ranks
+
+
+class _Bag:
+    """A bag that can be read again and again."""
+
+    def __init__(self, path: Path, scan_topic: str, odometry_topic: str) -> None:
+        self._path, self._asked = path, (scan_topic, odometry_topic)
+
+    def readings(self, survey: _Survey) -> Iterator[tuple[int, _Stamped]]:
+        """Yield time of receipt and message in the bag's order; the rest goes to the survey.
+
+        Raises:
+            LogError: if the bag cannot be read at all.
+        """
+        with closing(_open(self._path)) as reader:
+            scan_topic = _choose(reader, _SCAN, self._asked[0], "/scan")
+            odometry_topic = _choose(reader, _ODOMETRY, self._asked[1], "/odom")
+            wanted = _wanted(reader, scan_topic, odometry_topic, survey)
+            for kind, receipt_ns, message in _messages(reader, wanted, survey):
+                if kind == _SCAN:
+                    reading: _Stamped | None = _scan(message, survey)
+                elif kind == _ODOMETRY:
+                    reading = _odometry(message, survey)
+                else:
+                    reading = None
+                    for transform in message.transforms:
+                        survey.frames.add(transform)
+                if reading is not None:
+                    yield receipt_ns, reading
+
+
+def _wanted(reader: Any, scan_topic: str, odometry_topic: str, survey: _Survey) -> list[Any]:
+    """Return the connections of use and count the messages of the others."""
+    wanted = []
+    for connection in reader.connections:
+        ours = connection.topic in (scan_topic, odometry_topic)
+        if connection.msgtype in (_TF, _TF_OLD) or (
+            ours and connection.msgtype in (_SCAN, _ODOMETRY)
+        ):
+            wanted.append(connection)
+        elif connection.msgcount:
+            kind = "another laser" if connection.msgtype == _SCAN else connection.msgtype
+            survey.ignored[f"{shown(connection.topic)} ({shown(kind)})"] += connection.msgcount
+    return wanted
+
+
+def _messages(reader: Any, wanted: list[Any], survey: _Survey) -> Iterator[tuple[str, int, Any]]:
+    """Yield kind, time of receipt and message; damage is counted, not raised."""
+    from rosbags.highlevel import AnyReaderError
+    from rosbags.rosbag1 import ReaderError as Reader1Error
+    from rosbags.rosbag2 import ReaderError as Reader2Error
+    from rosbags.serde import SerdeError
+
+    if not wanted:
+        return
+    records = reader.messages(connections=wanted)
+    while True:
+        try:
+            connection, receipt_ns, data = next(records)
+        except StopIteration:
+            return
+        except (AnyReaderError, Reader1Error, Reader2Error, *_BAG_ERRORS):
+            survey.skipped["rest of the bag: it is damaged or cut off"] += 1
+            return
+        try:
+            message = reader.deserialize(data, connection.msgtype)
+        except (AnyReaderError, SerdeError, *_BAG_ERRORS):
+            survey.skipped[f"{shown(connection.topic)}: malformed message"] += 1
+            continue
+        yield connection.msgtype, receipt_ns, message
+
+
+def _scan(message: Any, survey: _Survey) -> LaserScan | None:
+    stamp_ns = stamp_of(message.header.stamp)
+    n = len(message.ranges)
+    geometry = (message.angle_min, message.angle_increment)
+    if not 0 <= stamp_ns < STAMP_LIMIT or not 0 < n <= BEAMS_LIMIT:
+        survey.skipped["scan without beams or time"] += 1
+        return None
+    if not (np.isfinite(geometry).all() and message.angle_increment):
+        survey.skipped["scan without angles"] += 1
+        return None
+    survey.laser = survey.laser or message.header.frame_id
+    if plain(message.header.frame_id) != plain(survey.laser):
+        survey.skipped["scan of another frame on the same topic"] += 1
+        return None
+    return scan_of(message)
+
+
+def _odometry(message: Any, survey: _Survey) -> WheelOdometry | None:
+    stamp_ns, pose = stamp_of(message.header.stamp), message.pose.pose
+    x, y, theta = pose.position.x, pose.position.y, yaw_of(pose.orientation)
+    if not 0 <= stamp_ns < STAMP_LIMIT or not np.isfinite((x, y, theta)).all():
+        survey.skipped["odometry without a finite pose or time"] += 1
+        return None
+    return WheelOdometry(stamp_ns, x, y, theta)

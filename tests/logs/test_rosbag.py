@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from logs.errors import LogError
 from logs.exporters import ros2_messages as ros
 from logs.exporters.ros2 import write_ros2
 from logs.importers.detect import read_any
+from logs.importers.imported import StreamedLog
 from logs.importers.rosbag import read_rosbag
 from logs.messages import (
     DeviceHealth,
@@ -62,6 +64,10 @@ def a_run(n: int = 20) -> list[Message]:
 
 def received(messages: list[Message], delay_ns: int = 5_000_000):
     return [(m.stamp_ns + delay_ns, m) for m in messages]
+
+
+def read(log: StreamedLog) -> list[Message]:
+    return [message for message, _ in log.received()]
 
 
 def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
@@ -160,7 +166,7 @@ def test_an_export_comes_back_through_the_importer(tmp_path: Path):
         log = read_any(source)
         assert log.kind == "ROS bag"
         assert not log.skipped
-        mount, *rest = log.messages
+        mount, *rest = read(log)
         assert (mount.x, mount.y, mount.theta) == pytest.approx((0.16, 0.02, 0.1))
         wanted = [m for m in run if isinstance(m, LaserScan | WheelOdometry)]
         assert [(type(m), m.stamp_ns) for m in rest] == [(type(m), m.stamp_ns) for m in wanted]
@@ -217,7 +223,7 @@ def write_bag(path: Path, plugin: StoragePlugin, laser: str = "laser", roll: flo
 def test_a_foreign_bag_with_two_lasers(tmp_path: Path, plugin: StoragePlugin):
     write_bag(tmp_path / "bag", plugin)
     log = read_any(tmp_path / "bag")
-    scans = [m for m in log.messages if isinstance(m, LaserScan)]
+    scans = [m for m in read(log) if isinstance(m, LaserScan)]
     assert len(scans) == 6
     assert [m.stamp_ns for m in scans] == sorted(m.stamp_ns for m in scans)
     assert log.ignored == {"/rear/scan (another laser)": 2}
@@ -227,11 +233,11 @@ def test_a_foreign_bag_with_two_lasers(tmp_path: Path, plugin: StoragePlugin):
     }
     assert np.isnan(scans[0].ranges[0])  # nearer than 1.5 m
     assert np.isinf(scans[0].ranges[9])  # from the reach on
-    mount = log.messages[0]
+    mount = read(log)[0]
     expected = (0.1 + 0.2 * math.cos(0.5), 0.2 * math.sin(0.5), 0.5)
     assert (mount.x, mount.y, mount.theta) == pytest.approx(expected)
     rear = read_rosbag(tmp_path / "bag", scan_topic="/rear/scan")
-    assert sum(isinstance(m, LaserScan) for m in rear.messages) == 2
+    assert sum(isinstance(m, LaserScan) for m in read(rear)) == 2
     with pytest.raises(LogError, match=r"no LaserScan on /x\\x1b"):
         read_rosbag(tmp_path / "bag", scan_topic="/x\x1b")
 
@@ -239,9 +245,9 @@ def test_a_foreign_bag_with_two_lasers(tmp_path: Path, plugin: StoragePlugin):
 def test_a_laser_that_hangs_upside_down_is_mirrored(tmp_path: Path):
     write_bag(tmp_path / "bag", StoragePlugin.MCAP, roll=math.pi)
     log = read_any(tmp_path / "bag")
-    scan = next(m for m in log.messages if isinstance(m, LaserScan))
+    scan = next(m for m in read(log) if isinstance(m, LaserScan))
     assert (scan.angle_min, scan.angle_step) == pytest.approx((0.5, -0.1))
-    assert log.messages[0].theta == pytest.approx(0.5)
+    assert read(log)[0].theta == pytest.approx(0.5)
 
 
 def test_a_ros_1_bag_without_transforms(tmp_path: Path):
@@ -264,10 +270,10 @@ def test_a_ros_1_bag_without_transforms(tmp_path: Path):
             )  # fmt: skip
             writer.write(connection, 7 + k, STORE1.serialize_ros1(scan, kind))
     log = read_any(path)
-    assert [m.stamp_ns for m in log.messages[1:]] == [
+    assert [m.stamp_ns for m in read(log)[1:]] == [
         (1_600_000_000 + k) * 1_000_000_000 + 5 for k in range(3)
     ]
-    assert log.receipts_ns == [7, 7, 8, 9]
+    assert [receipt for _, receipt in log.received()] == [7, 7, 8, 9]
     assert log.changed == {
         "no transform from the base to the laser, taken to be none": 1,
         "no odometry in the bag": 1,
@@ -316,3 +322,20 @@ def test_an_export_never_replaces_anything_and_leaves_no_half(tmp_path: Path):
     with pytest.raises(LogError, match="no message"):
         write_ros2(tmp_path / "bag", [(None, late)])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bag_is_imported_without_holding_it_in_memory(tmp_path: Path):
+    rng = np.random.default_rng(2)
+    beams, n = 1081, 2000
+    scans = (
+        LaserScan(START + k * STEP, -2.0, 0.004, rng.random(beams).astype(np.float32) + 1)
+        for k in range(n)
+    )
+    write_ros2(tmp_path / "bag", ((scan.stamp_ns, scan) for scan in scans))
+    tracemalloc.start()
+    log = read_any(tmp_path / "bag")
+    assert isinstance(log, StreamedLog)
+    assert sum(1 for _ in log.received()) == n + 1
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 0.5 * n * beams * 4
