@@ -15,10 +15,10 @@ What replay makes of odd logs, and the code of the finding that says so:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from logs.check_motion import MountCheck, OdometryCheck
 from logs.check_scans import ScanCheck
@@ -58,6 +58,18 @@ class Diagnosis:
         return plain
 
 
+class Check(Protocol):
+    """A check that needs more than this package has."""
+
+    def feed(self, message: Message) -> None:
+        """Take in one message."""
+        ...
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is odd."""
+        ...
+
+
 class Examination:
     """Takes in messages in file order; `findings` at the end says what is odd."""
 
@@ -94,8 +106,8 @@ class Examination:
         return {topic: check.drift_ppm() for topic, check in self._receipts.items()}
 
 
-def diagnose(path: Path | str) -> Diagnosis:
-    """Read a log once and return what is odd about it.
+def diagnose(path: Path | str, more: Sequence[Check] = ()) -> Diagnosis:
+    """Read a log once and return what is odd about it, by our own checks and `more`.
 
     Raises:
         LogError: if it cannot be opened as one of our logs.
@@ -104,7 +116,11 @@ def diagnose(path: Path | str) -> Diagnosis:
     with open_log(path) as log:
         for receipt_ns, message in log.receipts(_TOPICS):
             examination.feed(receipt_ns, message)
+            for check in more:
+                check.feed(message)
         findings = [*examination.findings(), *_other_lasers(log), *_losses(log)]
+    for check in more:
+        findings += check.findings()
     findings.sort(key=lambda finding: SEVERITIES.index(finding.severity))
     return Diagnosis(str(path), tuple(findings), examination.drift_ppm())
 

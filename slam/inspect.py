@@ -101,7 +101,9 @@ def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
         LogError: the log cannot be read.
         RunError: the JSON file cannot be written.
     """
-    found = diagnose(path)
+    from slam.doctor_motion import MotionCheck  # the matcher, which `slam info` does without
+
+    found = diagnose(path, [MotionCheck()])
     if json_file is not None:
         text = json.dumps(found.as_json(), indent=2, allow_nan=False)
         try:
