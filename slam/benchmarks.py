@@ -37,6 +37,12 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
         "overhead_s_per_task": "s a task beyond its replay", "identical": "identical",
     },
+    "growth": {
+        "keyframes": "keyframes", "closures": "closures", "way_m": "way m",
+        "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "most",
+        "optimising_ms_p99": "ISAM2 p99", "closing_ms_p99": "loops p99",
+        "matching_ms_p99": "match p99", "rss_mb": "peak MB",
+    },
     "outliers": {
         "graph": "graph", "share": "false per true loop", "false_loops": "false",
         "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
@@ -95,6 +101,10 @@ def _measure(
         from slam.bench_buildings import bench_buildings
 
         return bench_buildings(quick, say)
+    if name == "growth":
+        from slam.bench_growth import bench_growth
+
+        return bench_growth(quick, say)
     if name == "matcher":
         from slam.bench_matcher import bench_matcher
 
@@ -124,7 +134,7 @@ def _measure(
 
         return bench_paper(out, quick, say)
     known = (
-        "benchmark", "batch", "buildings", "matcher", "outliers", "online", "online-faults", "log",
+        "benchmark", "batch", "buildings", "growth", "matcher", "outliers", "online", "online-faults", "log",
         "paper",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")

@@ -273,7 +273,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="benchmark, batch, buildings, matcher, outliers, online, online-faults, log, paper"
+            help="benchmark, batch, buildings, growth, matcher, outliers, online, online-faults, "
+            "log, paper"
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
