@@ -6,6 +6,7 @@ GTSAM's own writer keeps about six digits, which is not enough to repeat a run.
 from __future__ import annotations
 
 import gzip
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def read_g2o(path: Path) -> G2oGraph:
         GraphError: unreadable, malformed, without vertices, or an edge to an unknown vertex.
     """
     vertices: dict[int, tuple[float, float, float]] = {}
-    raw: list[tuple[int, list[float]]] = []
+    raw: list[tuple[int, tuple[int, int], list[float]]] = []
     skipped = 0
     for number, line in enumerate(_lines(path), start=1):
         fields = line.split()
@@ -56,22 +57,23 @@ def read_g2o(path: Path) -> G2oGraph:
             continue
         try:
             if fields[0] in ("VERTEX_SE2", "VERTEX2") and len(fields) == 5:
-                vertices[int(fields[1])] = (float(fields[2]), float(fields[3]), float(fields[4]))
+                vertices[_id(fields[1])] = _pose(fields[2:])
             elif fields[0] == "EDGE_SE2" and len(fields) == 12:
-                raw.append((number, [float(f) for f in fields[1:]]))
+                ends = _id(fields[1]), _id(fields[2])
+                raw.append((number, ends, [float(f) for f in fields[3:]]))
             elif fields[0] in ("VERTEX_SE2", "VERTEX2", "EDGE_SE2"):
-                raise GraphError(f"{path}:{number}: {fields[0]} with {len(fields) - 1} numbers")
+                raise GraphError(f"{fields[0]} with {len(fields) - 1} numbers")
             else:
                 skipped += 1
+        except GraphError as error:
+            raise GraphError(f"{path}:{number}: {error}") from error
         except ValueError as error:
-            if isinstance(error, GraphError):
-                raise
             raise GraphError(f"{path}:{number}: not a number: {error}") from error
     if not vertices:
         raise GraphError(f"{path}: holds no VERTEX_SE2; only 2D pose graphs can be read")
     ids = np.array(sorted(vertices), dtype=np.int64)
     index = {int(key): k for k, key in enumerate(ids)}
-    edges = [_edge(path, number, values, index) for number, values in raw]
+    edges = [_edge(path, number, ends, values, index) for number, ends, values in raw]
     return G2oGraph(ids, np.array([vertices[int(key)] for key in ids]), edges, skipped)
 
 
@@ -83,22 +85,39 @@ def _lines(path: Path) -> list[str]:
         return data.decode("ascii").splitlines()
     except OSError as error:
         raise GraphError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, EOFError) as error:
+    except (UnicodeDecodeError, EOFError, zlib.error) as error:
         raise GraphError(f"{path}: is not g2o text: {error}") from error
 
 
-def _edge(path: Path, number: int, values: list[float], index: dict[int, int]) -> Edge:
+def _id(text: str) -> int:
+    """An id as the arrays can hold it; GTSAM writes its symbols as numbers near the limit."""
+    number = int(text)
+    if not -(2**63) <= number < 2**63:
+        raise GraphError(f"vertex id {text} does not fit into 64 bits")
+    return number
+
+
+def _pose(texts: list[str]) -> tuple[float, float, float]:
+    x, y, theta = (float(text) for text in texts)
+    if not np.isfinite((x, y, theta)).all():
+        raise GraphError("vertex pose is not finite")
+    return x, y, theta
+
+
+def _edge(
+    path: Path, number: int, ends: tuple[int, int], values: list[float], index: dict[int, int]
+) -> Edge:
     try:
-        i, j = index[int(values[0])], index[int(values[1])]
+        i, j = index[ends[0]], index[ends[1]]
     except KeyError as error:
         raise GraphError(f"{path}:{number}: edge to unknown vertex {error}") from error
     if i == j:
-        raise GraphError(f"{path}:{number}: edge from vertex {int(values[0])} to itself")
+        raise GraphError(f"{path}:{number}: edge from vertex {ends[0]} to itself")
     information = np.zeros((3, 3))
-    information[np.triu_indices(3)] = values[5:]
+    information[np.triu_indices(3)] = values[3:]
     information = information + np.triu(information, 1).T
     kind = "odometry" if j - i == 1 else "loop"
     try:
-        return Edge(kind, i, j, Pose2(*values[2:5]), information)  # type: ignore[arg-type]
+        return Edge(kind, i, j, Pose2(*values[:3]), information)  # type: ignore[arg-type]
     except GraphError as error:
         raise GraphError(f"{path}:{number}: {error}") from error

@@ -35,13 +35,17 @@ class MapConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    resolution: float = Field(default=0.05, gt=0, description="m per cell")
+    resolution: float = Field(default=0.05, ge=0.001, le=10, description="m per cell")
     max_range: float = Field(
-        default=30.0, gt=0, description="m; longer beams clear the way so far and hit nothing"
+        default=30.0,
+        gt=0,
+        le=1000,
+        description="m; longer beams clear the way so far and hit nothing",
     )
     no_return_free: float = Field(
         default=2.0,
         ge=0,
+        le=1000,
         description="m that a beam without return clears; far less than the sensor's reach, "
         "because glass and black walls return nothing either",
     )
@@ -54,10 +58,11 @@ class MapConfig(BaseModel):
     clamp_probability: float = Field(
         default=0.98, gt=0.5, lt=1, description="certainty beyond which a cell learns no more"
     )
-    margin: float = Field(default=0.5, ge=0, description="m of unknown left around the map")
+    margin: float = Field(default=0.5, ge=0, le=100, description="m of unknown left around the map")
     max_cells: int = Field(
         default=64_000_000,
         gt=0,
+        le=500_000_000,
         description="bound on memory (2 bytes each); a larger map is cropped around its middle",
     )
 

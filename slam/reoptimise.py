@@ -66,7 +66,8 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     tamed = sum(a is not b for a, b in zip(edges, graph.edges, strict=True))
     result = optimise(graph.poses, edges, config)
     with new_run(out) as partial:
-        stamps = graph.ids * 1_000_000_000  # a g2o file has no times: a second an id
+        # A g2o file has no times: a second a vertex.  Ids may be too large to count seconds.
+        stamps = np.arange(len(graph.ids)) * 1_000_000_000
         write_tum(partial / "keyframes.tum", Trajectory(stamps, result.poses))
         write_tum(partial / "trajectory.tum", Trajectory(stamps, result.poses))
         _write_graph(partial, edges, result, config)

@@ -72,6 +72,19 @@ def test_gzipped_files_and_foreign_ids_are_read(tmp_path):
     np.testing.assert_array_equal(edge.information, np.diag([1.0, 2.0, 3.0]))
 
 
+def test_neighbouring_ids_of_symbols_stay_apart(tmp_path):
+    """GTSAM's x0 and x1 differ only beyond the digits of a float."""
+    x0 = ord("x") << 56
+    path = tmp_path / "graph.g2o"
+    path.write_text(
+        f"VERTEX_SE2 {x0} 0 0 0\nVERTEX_SE2 {x0 + 1} 1 0 0\n"
+        f"EDGE_SE2 {x0} {x0 + 1} 1 0 0 1 0 0 1 0 1\n"
+    )
+    graph = read_g2o(path)
+    assert graph.ids.tolist() == [x0, x0 + 1]
+    assert [(e.i, e.j) for e in graph.edges] == [(0, 1)]
+
+
 TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
 
 
@@ -86,6 +99,13 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         (TWO + "EDGE_SE2 0 5 1 0 0 1 0 0 1 0 1\n", ":3: edge to unknown vertex 5"),
         (TWO + "EDGE_SE2 1 1 1 0 0 1 0 0 1 0 1\n", ":3: edge from vertex 1 to itself"),
         (TWO + "EDGE_SE2 0 1 nan 0 0 1 0 0 1 0 1\n", ":3: odometry edge 0-1: .* not finite"),
+        (f"VERTEX_SE2 {2**63} 0 0 0\n", ":1: vertex id 9223372036854775808 does not fit"),
+        ("VERTEX_SE2 nan 0 0 0\n", ":1: not a number"),
+        ("VERTEX_SE2 0 0 nan 0\n", ":1: vertex pose is not finite"),
+        ("VERTEX_SE2 0 0 0 inf\n", ":1: vertex pose is not finite"),
+        (TWO + "EDGE_SE2 nan 1 1 0 0 1 0 0 1 0 1\n", ":3: not a number"),
+        (TWO + "EDGE_SE2 0.5 1 1 0 0 1 0 0 1 0 1\n", ":3: not a number"),
+        (TWO + f"EDGE_SE2 0 {10**30} 1 0 0 1 0 0 1 0 1\n", ":3: vertex id 1000000"),
         (TWO + "EDGE_SE2 0 1 1 0 0 -1 0 0 1 0 1\n", ":3: odometry edge 0-1: .* negative"),
     ],
 )
@@ -97,9 +117,12 @@ def test_damage_is_named_with_its_line(tmp_path, text, message):
     assert str(path) in str(caught.value)
 
 
+CORRUPT = gzip.compress(TWO.encode())[:10] + b"\xff" * 20
+
+
 def test_what_is_no_text_is_refused(tmp_path):
     path = tmp_path / "graph.g2o"
-    for data in (b"\x89PNG\xff\xfe", gzip.compress(TWO.encode())[:-12]):
+    for data in (b"\x89PNG\xff\xfe", gzip.compress(TWO.encode())[:-12], CORRUPT):
         path.write_bytes(data)
         with pytest.raises(GraphError, match="is not g2o text"):
             read_g2o(path)

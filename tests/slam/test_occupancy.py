@@ -7,6 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from logs.messages import LaserScan
+from slam.config import ConfigError, load_config
 from slam.occupancy import MapConfig, build_map
 
 CONFIG = MapConfig(resolution=0.1, margin=0.0)
@@ -145,3 +146,26 @@ def test_scans_without_beams_are_harmless():
 def test_a_misspelt_setting_is_refused():
     with pytest.raises(ValidationError, match="resolutoin"):
         MapConfig(resolutoin=0.1)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "resolution=1e-6",
+        "resolution=1e300",
+        "max_range=1e300",
+        "margin=1e9",
+        "max_cells=1000000000",
+    ],
+)
+def test_settings_that_no_memory_could_hold_are_refused_before_the_run(setting):
+    name = setting.partition("=")[0]
+    with pytest.raises(ConfigError, match=f"map.{name}: Input should be .*got"):
+        load_config(None, [f"map.{setting}"])
+
+
+def test_the_finest_and_longest_settings_still_draw():
+    finest = MapConfig(resolution=0.001, max_range=1000.0, no_return_free=1000.0)
+    beams = scan_of(2.0, math.inf, 900.0)
+    grid = build_map([beams], np.zeros((1, 3)), finest.model_copy(update={"max_cells": 4_000_000}))
+    assert grid.cells.size <= 4_000_000
