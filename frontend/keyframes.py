@@ -1,7 +1,8 @@
-"""Which scan becomes the next keyframe: SDP-PE, or a constant interval."""
+"""Which scan becomes the next keyframe: by the walls, by information, or ever the same."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,6 +11,7 @@ from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
+from frontend.information import Foresight, Outlook, best_distance, distance_of_overlap
 from frontend.scan import PreparedScan
 
 
@@ -18,8 +20,10 @@ class KeyframeConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["sdp-pe", "constant"] = Field(
-        "sdp-pe", description="interval from the walls' complexity, or always the same"
+    method: Literal["sdp-pe", "constant", "information", "overlap"] = Field(
+        "sdp-pe",
+        description="interval from the walls' complexity, always the same, from what a match "
+        "will know, or from how much it will still see",
     )
     unit: Literal["metres", "scans"] = Field(
         "metres", description="what intervals count: travelled metres, or scans as in the paper"
@@ -34,6 +38,11 @@ class KeyframeConfig(BaseModel):
     )
     profile_reach: float = Field(4.0, gt=0, description="m of wall ahead and behind")
     profile_bin: float = Field(0.25, gt=0, description="m, grid of the wall profile")
+    shortest: float = Field(0.1, gt=0, description="m, the shortest foreseen interval")
+    longest: float = Field(3.0, gt=0, description="m, the longest foreseen interval")
+    least_overlap: float = Field(
+        0.7, gt=0, lt=1, description="share of the view that method overlap keeps"
+    )
     max_turn: float = Field(0.3, gt=0, description="rad, a larger turn always makes a keyframe")
     max_time: float = Field(
         10.0, gt=0, description="s, the longest wait while the robot moves at all"
@@ -46,7 +55,16 @@ class KeyframeConfig(BaseModel):
             raise ValueError("min_interval must not exceed max_interval")
         if self.t_low >= self.t_high:
             raise ValueError("t_low must be below t_high")
+        if self.shortest >= self.longest:
+            raise ValueError("shortest must be below longest")
+        if self.foresees and self.unit != "metres":
+            raise ValueError(f"method {self.method} gives metres: unit must be metres")
         return self
+
+    @property
+    def foresees(self) -> bool:
+        """Whether the interval depends on where the robot goes, and waits for its first motion."""
+        return self.method in ("information", "overlap")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +73,8 @@ class Interval:
 
     length: float  # in the configured unit
     complexity: PoseComplexity | None  # None where the method does not look at the walls
+    foresight: Foresight | None = None  # None where it does not foresee the match
+    open: bool = False  # to be chosen when the robot has begun to move
 
 
 def interval_after(keyframe: PreparedScan, config: KeyframeConfig) -> Interval:
@@ -66,12 +86,35 @@ def interval_after(keyframe: PreparedScan, config: KeyframeConfig) -> Interval:
     """
     if config.method == "constant":
         return Interval(config.interval, None)
+    if config.foresees:
+        return Interval(config.longest, None, open=True)
     left, right = wall_profiles(keyframe.points, config.profile_reach, config.profile_bin)
     complexity = pose_score(wall_sums(left), wall_sums(right), config.weights)
     share = (complexity.t_pe - config.t_low) / (config.t_high - config.t_low)
     share = min(max(share, 0.0), 1.0)
     length = config.min_interval + share * (config.max_interval - config.min_interval)
     return Interval(length, complexity)
+
+
+def interval_ahead(
+    keyframe: PreparedScan, moved: Pose2, outlook: Outlook, config: KeyframeConfig
+) -> Interval:
+    """The interval of a method that foresees the match, once it is known where the robot goes.
+
+    Args:
+        keyframe: the last one.
+        moved: keyframe_T_now by odometry; the robot is taken to go on in that direction.
+        outlook: what is known about the matches to come.
+        config: method and limits.
+    """
+    direction = math.atan2(moved.y(), moved.x())
+    if config.method == "overlap":
+        length = distance_of_overlap(
+            keyframe, direction, config.shortest, config.longest, config.least_overlap, outlook
+        )
+        return Interval(length, None)
+    foresight = best_distance(keyframe, direction, config.shortest, config.longest, outlook)
+    return Interval(foresight.distance, None, foresight)
 
 
 def reason_to_keep(

@@ -43,6 +43,11 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "optimising_ms_p99": "ISAM2 p99", "closing_ms_p99": "loops p99",
         "matching_ms_p99": "match p99", "rss_mb": "peak MB",
     },
+    "pareto": {
+        "world": "world", "method": "method", "setting": "setting",
+        "matches_median": "matches", "ate_m_median": "ATE m", "ate_m_ci95": "95 %",
+        "cpu_ms_median": "cpu ms",
+    },
     "outliers": {
         "graph": "graph", "share": "false per true loop", "false_loops": "false",
         "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
@@ -133,9 +138,13 @@ def _measure(
         from slam.bench_paper import bench_paper
 
         return bench_paper(out, quick, say)
+    if name == "pareto":
+        from slam.bench_pareto import bench_pareto
+
+        return bench_pareto(out, data, quick, say)
     known = (
         "benchmark", "batch", "buildings", "growth", "matcher", "outliers", "online", "online-faults", "log",
-        "paper",
+        "paper", "pareto",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
@@ -151,4 +160,6 @@ def table(name: str, rows: list[dict[str, Any]]) -> Table:
 
 
 def _cell(value: Any) -> str:
+    if isinstance(value, list):
+        return " to ".join(map(_cell, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -274,7 +274,7 @@ def bench(
         str,
         typer.Argument(
             help="benchmark, batch, buildings, growth, matcher, outliers, online, online-faults, "
-            "log, paper"
+            "log, paper, pareto"
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),

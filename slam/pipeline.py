@@ -14,7 +14,8 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from backend.pose_graph import Edge, PoseGraph
-from frontend.keyframes import Interval, interval_after, reason_to_keep
+from frontend.information import Outlook
+from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
 from frontend.matching import Prior, Reference
 from frontend.scan import PreparedScan, prepare
 from logs.messages import (
@@ -173,6 +174,8 @@ class Slam:
         moved = self._kept.odom_T_base.between(sighting.odom_T_base)
         seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
         scans = sighting.index - self._kept.index
+        if self._interval.open:
+            self._choose_interval(moved, seconds)
         reason = reason_to_keep(moved, scans, seconds, self._interval, self.config.keyframes)
         if reason:
             self._advance(sighting, reason, self._between)
@@ -180,6 +183,23 @@ class Slam:
         self._between.append(sighting)
         if len(self._between) > MOST_BETWEEN:  # the robot stands still: keep every other one
             self._between = self._between[::2]
+
+    def _choose_interval(self, moved: Pose2, seconds: float) -> None:
+        """Foresee the next match as soon as it shows where the robot goes, and how fast."""
+        config, distance = self.config, float(np.hypot(moved.x(), moved.y()))
+        if distance < config.keyframes.shortest:
+            return
+        speed = distance / seconds
+        outlook = Outlook(
+            lambda metres: config.odometry.covariance(metres, 0.0, metres / speed),
+            config.tracking.references, config.matcher.range_noise, config.matcher.correlation,
+            config.scan.gap_ratio,
+        )  # fmt: skip
+        scan = self._foreseen_from()
+        self._interval = interval_ahead(scan, moved, outlook, config.keyframes)
+
+    def _foreseen_from(self) -> PreparedScan:
+        return self.keyframes[-1].prepared
 
     def _begin(self, sighting: _Sighting, prepared: PreparedScan) -> None:
         self.graph = PoseGraph(Pose2(), self.config.graph)
@@ -346,7 +366,8 @@ class Slam:
     def _record_decision(
         self, scan: LaserScan, index: int, reason: str, moved: Pose2, tracked: Tracked | None
     ) -> None:
-        complexity = self._interval.complexity
+        complexity, foresight = self._interval.complexity, self._interval.foresight
+        sums: tuple[float, ...] = complexity.sums if complexity else ()
         sigmas: tuple[float, ...] = ()
         if tracked is not None and tracked.match_trusted:
             sigmas = tracked.result.sigmas
@@ -356,12 +377,12 @@ class Slam:
                 len(self.keyframes),
                 index,
                 reason,
-                "",
+                foresight.axis if foresight else "",
                 float(np.hypot(moved.x(), moved.y())),
                 abs(moved.theta()),
                 float(self._interval.length),
                 complexity.t_pe if complexity else float("nan"),
-                complexity.sums if complexity else (),
+                foresight.sigmas if foresight else sums,
                 sigmas,
             )
         )

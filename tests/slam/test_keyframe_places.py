@@ -97,6 +97,8 @@ def bounds(config):
     """Shortest and longest interval, m."""
     if config.method == "constant":
         return config.interval, config.interval
+    if config.foresees:
+        return config.shortest, config.longest
     return config.min_interval, config.max_interval
 
 

@@ -1,0 +1,205 @@
+"""What a match will know: foreseen from one scan, held against matches that were made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gtsam import Pose2
+
+from drivers.simulators.laser import LASERS, LaserConfig, take_scan
+from drivers.simulators.robot import drive
+from drivers.simulators.world import World
+from drivers.simulators.worlds import scenario
+from frontend.information import Outlook, best_distance, distance_of_overlap, informations
+from frontend.matching import MatchConfig, Prior, Reference, match
+from frontend.scan import ScanConfig, prepare
+from logs.messages import LaserMount, LaserScan
+from slam.bench_pareto_drives import permuted
+from slam.odometry import OdometryConfig
+
+MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+SCAN, MATCH, ODOMETRY = ScanConfig(), MatchConfig(), OdometryConfig()
+PLAIN = World(np.array([[-40.0, 1.5, 40.0, 1.5], [-40.0, -1.5, 40.0, -1.5]]))
+ONE_WALL = World(PLAIN.segments[:1])
+GLASS = World(PLAIN.segments[:1], panes=PLAIN.segments[1:])
+SPEED = 0.6  # m/s
+
+
+def odometry(metres):
+    return ODOMETRY.covariance(metres, 0.0, metres / SPEED)
+
+
+def outlook(scale=1.0):
+    unit = np.diag([scale, scale, 1.0])
+    return Outlook(
+        lambda metres: unit @ odometry(metres / scale) @ unit,
+        6,
+        scale * MATCH.range_noise,
+        MATCH.correlation,
+        SCAN.gap_ratio,
+    )
+
+
+def laser_of(beams, field=np.pi, **settings):
+    step = field / (beams - 1)
+    return LaserConfig(beams=beams, angle_min=-0.5 * field, angle_step=step, **settings)
+
+
+def seen(world, pose=None, laser=LASERS["hokuyo-181"], seed=0):
+    raw = take_scan(world, pose or Pose2(), laser, np.random.default_rng(seed))
+    return prepare(raw, MOUNT, SCAN)
+
+
+def places(name, count, seed=0):
+    """Scans on the way through a world, and where they were taken."""
+    place = scenario(name, seed)
+    track = drive(place.path)
+    poses = [Pose2(*p) for p in track.at(np.linspace(0.05, 0.9, count) * track.duration_s)]
+    return place.world, [(pose, seen(place.world, pose, seed=k)) for k, pose in enumerate(poses)]
+
+
+def distance(scan, direction=0.0, ahead=None, shortest=0.1, longest=3.0):
+    return best_distance(scan, direction, shortest, longest, ahead or outlook()).distance
+
+
+@pytest.mark.parametrize("name", ["office", "clutter"])
+@pytest.mark.parametrize("metres", [0.1, 0.4, 1.0])
+def test_what_is_foreseen_is_what_matches_achieve(name, metres):
+    world, scans = places(name, 12)
+    ratios, beams = [], []
+    for k, (pose, scan) in enumerate(scans):
+        step = Pose2(metres, 0.0, 0.0)
+        later = seen(world, pose * step, seed=100 + k)
+        prior = Prior(step, odometry(metres))
+        made = match([Reference(Pose2(), scan)], later, step, MATCH, prior)
+        known, pairs = informations(scan, np.array([[metres, 0.0, 0.0]]), outlook())
+        known = known[0] + np.linalg.inv(prior.covariance)
+        ratios.append(np.sqrt(np.diag(np.linalg.inv(known))) / made.sigmas)
+        beams.append(pairs[0] / (made.overlap * later.valid))
+    np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, atol=0.2)
+    assert np.median(beams) == pytest.approx(1.0, abs=0.1)
+
+
+def test_normals_of_other_beams_foresee_nothing():
+    """The counter-test: what the foresight knows, it knows from each point's own normal."""
+    world, scans = places("mixed", 40)
+    rng, metres = np.random.default_rng(0), 0.8
+    step, prior = Pose2(metres, 0.0, 0.0), Prior(Pose2(metres, 0.0, 0.0), odometry(metres))
+    made, own, shuffled = [], [], []
+    for k, (pose, scan) in enumerate(scans):
+        later = seen(world, pose * step, seed=100 + k)
+        made.append(match([Reference(Pose2(), scan)], later, step, MATCH, prior).sigmas)
+        for kept, used in ((own, scan), (shuffled, permuted(scan, rng))):
+            known = informations(used, np.array([[metres, 0.0, 0.0]]), outlook())[0][0]
+            total = known + np.linalg.inv(prior.covariance)
+            kept.append(np.sqrt(np.diag(np.linalg.inv(total))))
+    made, own, shuffled = (np.log(np.array(values)) for values in (made, own, shuffled))
+    for axis in range(3):
+        right = np.median(np.abs(own[:, axis] - made[:, axis]))
+        wrong = np.median(np.abs(shuffled[:, axis] - made[:, axis]))
+        assert right < 0.2
+        assert wrong > 1.5 * right
+
+
+@pytest.mark.parametrize("turn", [0.7, np.pi / 2, 3.0])
+@pytest.mark.parametrize("name", ["office", "clutter"])
+def test_a_turned_world_changes_nothing(name, turn):
+    """The laser is mounted askew by `turn` and the robot drives where the laser looks."""
+    round_odometry = Outlook(
+        lambda metres: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
+        MATCH.correlation, SCAN.gap_ratio,
+    )  # fmt: skip
+    world, scans = places(name, 4)
+    for k, (pose, scan) in enumerate(scans):
+        raw = take_scan(world, pose, LASERS["hokuyo-181"], np.random.default_rng(k))
+        askew = prepare(raw, LaserMount(0, 0.0, 0.0, turn), SCAN)
+        straight = distance(scan, 0.0, round_odometry)
+        assert distance(askew, turn, round_odometry) == pytest.approx(straight, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["office", "clutter", "mixed"])
+def test_a_mirrored_world_changes_nothing(name):
+    """Lines are fitted from one end of a scan to the other, so each may differ a little."""
+    world, scans = places(name, 12)
+    ratios, mirror = [], np.array([1.0, -1.0, -1.0])
+    for k, (pose, scan) in enumerate(scans):
+        raw = take_scan(world, pose, LASERS["hokuyo-181"], np.random.default_rng(k))
+        last = raw.angle_min + raw.angle_step * (len(raw.ranges) - 1)
+        swapped = LaserScan(raw.stamp_ns, -last, raw.angle_step, raw.ranges[::-1].copy())
+        poses = np.array([[0.5, 0.1, 0.05]])
+        there = informations(scan, poses, outlook())[0][0]
+        here = informations(prepare(swapped, MOUNT, SCAN), poses * mirror, outlook())[0][0]
+        ratios.append(np.diag(np.linalg.inv(here)) / np.diag(np.linalg.inv(there)))
+    np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, atol=0.05)
+
+
+@pytest.mark.parametrize("scale", [0.25, 4.0])
+@pytest.mark.parametrize("name", ["office", "clutter"])
+def test_a_larger_world_with_larger_noise_has_longer_intervals(name, scale):
+    world, scans = places(name, 4)
+    for k, (pose, scan) in enumerate(scans):
+        raw = take_scan(world, pose, LASERS["hokuyo-181"], np.random.default_rng(k))
+        larger = LaserScan(0, raw.angle_min, raw.angle_step, raw.ranges * np.float32(scale))
+        config = SCAN.model_copy(
+            update={"range_noise": scale * SCAN.range_noise, "max_range": 1000.0}
+        )
+        found = distance(
+            prepare(larger, MOUNT, config), 0.0, outlook(scale), 0.1 * scale, 3.0 * scale
+        )
+        assert found == pytest.approx(scale * distance(scan), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["office", "testbed"])
+def test_the_number_of_beams_hardly_matters(name):
+    """More beams know more, but lose it at the same distance, once they resolve what is there."""
+    place = scenario(name, 0)
+    track = drive(place.path)
+    poses = track.at(np.linspace(0.1, 0.8, 12) * track.duration_s)
+    found = {}
+    for beams in (361, 721, 1081):
+        scans = [seen(place.world, Pose2(*pose), laser_of(beams)) for pose in poses]
+        found[beams] = np.exp(np.mean([np.log(distance(scan)) for scan in scans]))
+    assert max(found.values()) / min(found.values()) < 1.35
+
+
+def test_wheels_that_slip_ask_for_shorter_steps_where_the_corridor_tells_little():
+    _, scans = places("plain-corridor", 8)
+    slipping = replace(outlook(), odometry=lambda metres: 9.0 * odometry(metres))
+    good, bad = ([distance(scan, 0.0, o) for _, scan in scans] for o in (outlook(), slipping))
+    assert np.median(bad) < np.median(good)
+
+
+def test_a_corridor_names_the_axis_that_it_does_not_tell():
+    _, scans = places("plain-corridor", 8)
+    found = [best_distance(scan, 0.0, 0.1, 3.0, outlook()) for _, scan in scans]
+    assert {foresight.axis for foresight in found} == {"x"}
+    assert all(f.sigmas[0] > 5.0 * f.sigmas[1] for f in found)
+
+
+@pytest.mark.parametrize("world", [PLAIN, ONE_WALL, GLASS, World()])
+@pytest.mark.parametrize("direction", [0.0, np.pi])
+def test_the_distance_stays_within_its_limits_whatever_is_seen(world, direction):
+    scan = seen(world)
+    found = best_distance(scan, direction, 0.1, 3.0, outlook())
+    assert 0.1 <= found.distance <= 3.0 + 1e-9
+    assert np.isfinite(found.sigmas).all()
+    assert 0.1 <= distance_of_overlap(scan, direction, 0.1, 3.0, 0.7, outlook()) <= 3.0 + 1e-9
+
+
+def test_the_overlap_shrinks_the_farther_one_goes_and_reversing_loses_it_sooner():
+    _, scans = places("office", 6)
+    for _, scan in scans:
+        reach = [distance_of_overlap(scan, 0.0, 0.05, 6.0, s, outlook()) for s in (0.9, 0.7, 0.5)]
+        assert reach == sorted(reach)
+
+
+def test_a_full_turn_of_beams_wraps_around():
+    """The wall behind, where the scan begins and ends, is seen as well as the one ahead."""
+    room = World.from_polygon([(-3.0, -2.0), (3.0, -2.0), (3.0, 2.0), (-3.0, 2.0)])
+    laser = LaserConfig(beams=360, angle_min=-np.pi, angle_step=np.pi / 180)
+    ahead, behind = (
+        informations(seen(room, laser=laser), np.array([[x, 0.0, 0.0]]), outlook())
+        for x in (0.5, -0.5)
+    )
+    assert ahead[1][0] == pytest.approx(360, abs=12)
+    np.testing.assert_allclose(np.diag(ahead[0][0]), np.diag(behind[0][0]), rtol=0.1)
