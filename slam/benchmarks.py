@@ -143,8 +143,8 @@ def _measure(
 
         return bench_pareto(out, data, quick, say)
     known = (
-        "benchmark", "batch", "buildings", "growth", "matcher", "outliers", "online", "online-faults", "log",
-        "paper", "pareto",
+        "benchmark", "batch", "buildings", "growth", "matcher", "outliers", "online",
+        "online-faults", "log", "paper", "pareto",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 
