@@ -8,6 +8,7 @@ adds depends on d; the interval is the longest whose sum is as good as the best.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -120,17 +121,18 @@ def _covariances(
     distances = np.geomspace(shortest, farthest, _count(shortest, farthest, PER_OCTAVE))
     known, _ = informations(scan, _ahead(distances, direction), outlook)
     known += np.linalg.inv(np.array([outlook.odometry(float(d)) for d in distances]))
-    return distances, np.linalg.inv(known)
+    return distances, np.asarray(np.linalg.inv(known), np.float64)
 
 
 def _ahead(distances: Array, direction: float) -> Array:
     """(k, 3) poses straight on, heading kept."""
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
-    return distances[:, None] * along
+    poses: Array = distances[:, None] * along
+    return poses
 
 
 def _count(low: float, high: float, per_octave: int) -> int:
-    return max(2, 1 + round(per_octave * np.log2(high / low)))
+    return max(2, 1 + round(per_octave * math.log2(high / low)))
 
 
 def _per_metre(

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from frontend.keyframes import KeyframeConfig
 from frontend.matching import Reference, match
 from frontend.scan import VALID, prepare
-from logs.importers.detect import read_any
+from logs.importers.breezyslam import read_breezyslam
+from logs.importers.carmen import read_carmen
 from logs.messages import LaserScan, Message
 from slam.bench_pareto_drives import trajectory_of
 from slam.config import SlamConfig
@@ -26,12 +27,12 @@ Say = Callable[[str], None]
 
 SURVEYED = ("intel", "mit-csail", "mit-killian")
 UNSURVEYED = ("exp1", "exp2")
-COMPARED = {
+COMPARED: dict[str, dict[str, Any]] = {
     "constant 0.3 m": {"method": "constant", "interval": 0.3},
     "sdp-pe": {"method": "sdp-pe"},
     "information": {"method": "information"},
 }
-MORE = {
+MORE: dict[str, dict[str, Any]] = {
     "constant 0.1 m": {"method": "constant", "interval": 0.1},
     "constant 0.6 m": {"method": "constant", "interval": 0.6},
     "constant 1 m": {"method": "constant", "interval": 1.0},
@@ -50,7 +51,7 @@ def bench_logs(data: Path, say: Say) -> list[dict[str, Any]]:
         if not path.is_file():
             say(f"{path}: not there, left out")
             continue
-        messages = read_any(path).messages
+        messages = read_carmen(path).messages
         for label, choice in COMPARED.items():
             say(f"{name}: {label}")
             rows.append({"log": name, "setting": label, **surveyed(messages, choice, path)})
@@ -59,7 +60,7 @@ def bench_logs(data: Path, say: Say) -> list[dict[str, Any]]:
         if not path.is_file():
             say(f"{path}: not there, left out")
             continue
-        messages = read_any(path).messages
+        messages = read_breezyslam(path).messages
         for label, choice in (COMPARED | MORE).items():
             rows.append({"log": name, "setting": label, **unsurveyed(messages, choice)})
     return rows
