@@ -49,12 +49,6 @@ def chunk_starts(path: Path) -> list[int]:
         return [r.start for r in walk(file, len(MAGIC), end) if r.opcode == Opcode.CHUNK]
 
 
-@pytest.fixture
-def no_sync(monkeypatch):
-    """Let thousands of files be written without waiting for the disk each time."""
-    monkeypatch.setattr("logs.partial.os.fsync", lambda _: None)
-
-
 @pytest.mark.usefixtures("no_sync")
 def test_cut_at_every_byte_of_the_last_two_chunks_the_ones_before_are_saved(tmp_path: Path):
     messages = write_in_chunks(tmp_path / "a.mcap")
