@@ -10,9 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.stream_reader import StreamReader
 
+from logs import protos
 from logs.mcap_log import open_log
 from logs.messages import LaserScan
 from logs.recompress import recompress
@@ -129,3 +131,20 @@ def test_a_scan_written_by_the_foxglove_sdk_is_read_by_us(tmp_path: Path):
     assert (scans[0].angle_min, scans[0].angle_step) == pytest.approx((-1.0, 1.0))
     assert scans[0].ranges.tolist() == pytest.approx([1.0, 2.0, 3.0])
     assert np.diff([s.stamp_ns for s in scans]).tolist() == [10**9] * 4
+
+
+def test_the_foxglove_sdk_knows_every_field_of_our_standard_channels_by_the_same_number():
+    """All but our own field, which lies beyond theirs."""
+    messages = pytest.importorskip("foxglove.messages", reason="foxglove-sdk is not installed")
+    for name in ("LaserScan", "FrameTransform", "Grid", "Log", "Odometry"):
+        theirs = fields_of(getattr(messages, name).get_schema().data, name)
+        ours = fields_of(protos.descriptor_set(name), name)
+        assert {k: v for k, v in ours.items() if k < protos.OUR_FIELD} == theirs
+        assert ours.keys() - theirs.keys() <= {protos.OUR_FIELD}
+
+
+def fields_of(data: bytes, name: str) -> dict[int, tuple[str, int, str]]:
+    files = FileDescriptorSet.FromString(data).file
+    (message,) = (m for f in files if f.package == "foxglove" for m in f.message_type
+                  if m.name == name)  # fmt: skip
+    return {f.number: (f.name, f.type, f.type_name) for f in message.field}
