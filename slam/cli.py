@@ -344,7 +344,7 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 def main() -> None:
     """Entry point of the console script: known errors become one line and an exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _on_signal)
     try:
         app()

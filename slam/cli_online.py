@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -117,8 +118,9 @@ class _Progress:
             _say(f"{erase}{text}")
         if self._terminal or status.seconds >= self._due_s:
             self._due_s = status.seconds + _QUIET_S
-            typer.echo(f"{erase}{status.line()}", err=True, nl=not self._terminal)
+            _say(f"{erase}{status.line()}", nl=not self._terminal)
 
 
-def _say(text: str) -> None:
-    typer.echo(text, err=True)
+def _say(text: str, nl: bool = True) -> None:
+    with suppress(OSError):  # the terminal was closed; the run is finished all the same
+        typer.echo(text, err=True, nl=nl)

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM as a request that is granted in good order; a second one insists."""
+"""SIGINT, SIGTERM and SIGHUP as a request that is granted in good order; a second one insists."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: its terminal was closed
 _SAME_S = 1.0  # `timeout` and others signal a program and its group: that is one request
 
 
