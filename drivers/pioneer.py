@@ -33,6 +33,7 @@ from drivers.ports import Port, open_port
 PASSIVE = (Id.PULSE, Id.OPEN, Id.CLOSE, Id.CONFIG, Id.SONAR, Id.HOSTBAUD)
 _REPORTS = (*STANDARD, CONFIG, ENCODER, IO, GYRO)
 _PATIENT = 4  # silent rounds of SYNC before a known robot is told to CLOSE
+_PACE_S = 0.005  # s between commands; the firmware may drop quicker ones (section 1)
 _LISTEN_S, _GARBAGE = 0.2, 16  # s, and bytes in that time that are no packet
 _Outcome = Literal["connected", "open", "confused", "silent"]
 
@@ -79,7 +80,7 @@ class Pioneer:
         self._connection: Connection[Packet] | None = None
         self._guard = MotionGuard(config.motion) if config.motion else None
         self._baud = self._boot_baud = config.baud
-        self._heard_ns = self._pulsed_ns = 0
+        self._heard_ns = self._pulsed_ns = self._sent_ns = 0
 
     def connect(self) -> str:
         """Open the port and bring the robot to sending reports; returns who it is.
@@ -179,7 +180,11 @@ class Pioneer:
     def _send(self, command: Id, argument: int | None = None) -> None:
         if command not in PASSIVE and self._guard is None:
             raise Refused(f"{command.name} is not sent without consent to motion")
+        wait_s = _PACE_S - (self._clock() - self._sent_ns) * 1e-9
+        if wait_s > 0.0:
+            self._link.drain(wait_s, wait_s)
         self._link.send(encode_command(command, argument))
+        self._sent_ns = self._clock()
 
     def _begun(self, how: str) -> str:
         self._heard_ns = self._clock()

@@ -58,6 +58,11 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "latency_ms_p99": "p99", "latency_ms_max": "max", "searching_scans": "while searching",
         "searching_ms_p99": "p99", "cpu_share": "of a core", "peak_rss_mb": "MB", "lost": "lost",
     },
+    "memory": {
+        "run": "run", "minutes": "minutes", "keyframes": "keyframes",
+        "rss_mb_first": "MB first", "rss_mb_last": "MB last",
+        "growth_mb_per_hour": "MB an hour", "kb_per_keyframe": "kB a keyframe",
+    },
     "online-faults": {
         "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
         "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms", "wrong": "wrong",
@@ -122,6 +127,10 @@ def _measure(
         from slam.bench_online import bench_online
 
         return bench_online(quick, say)
+    if name == "memory":
+        from slam.bench_memory import bench_memory
+
+        return bench_memory(quick, say)
     if name == "online-faults":
         from slam.bench_online_faults import bench_online_faults
 
@@ -143,8 +152,8 @@ def _measure(
 
         return bench_pareto(out, data, quick, say)
     known = (
-        "benchmark", "batch", "buildings", "growth", "matcher", "outliers", "online",
-        "online-faults", "log", "paper", "pareto",
+        "benchmark", "batch", "buildings", "growth", "matcher", "memory", "outliers",
+        "online", "online-faults", "log", "paper", "pareto",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 

@@ -273,8 +273,8 @@ def bench(
     name: Annotated[
         str,
         typer.Argument(
-            help="benchmark, batch, buildings, growth, matcher, outliers, online, online-faults, "
-            "log, paper, pareto"
+            help="benchmark, batch, buildings, growth, matcher, memory, outliers, online, "
+            "online-faults, log, paper, pareto"
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),

@@ -33,6 +33,7 @@ class HokuyoBuild:
     clock_start: int = 0  # count at the start of the simulation, up to 2**24
     clock_rate: float = 1.0  # sensor seconds per second; 50 ppm off is usual (section 4.3)
     boot_s: float = 0.0  # s after power-on without an answer (section 4.6)
+    boot_status: str = ""  # with which commands are answered meanwhile; empty: not at all
     processing_s: float = 0.001  # s from the last step to the first byte; our estimate
     allows_sync: bool = True  # False: TM is denied
     fault_at_s: float = math.inf  # s, from then on reports carry hardware status 50
@@ -92,9 +93,13 @@ class HokuyoDevice:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes from the client."""
-        if now_s < self._ready_s:
+        booting = now_s < self._ready_s
+        if booting and not self.build.boot_status:
             return
         for line in self._framer.feed(data):
+            if booting:
+                self._out += encode_reply(line, self.build.boot_status)
+                continue
             command = decode_command(line)
             if self._old and (command is None or command.symbol != "SCIP2.0"):
                 self._out += line + b"\nE\n\n"

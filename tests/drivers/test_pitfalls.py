@@ -1,0 +1,138 @@
+"""What users and foreign programs have run into (DEVICES.md), where no other test has it."""
+
+import numpy as np
+import pytest
+
+from drivers.arcos_protocol import Id, encode_command, encode_packet
+from drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
+from drivers.errors import NoReply, WrongDevice
+from drivers.hokuyo import Hokuyo, HokuyoConfig
+from drivers.pioneer import Pioneer, PioneerConfig
+from drivers.pioneer_decoder import PioneerDecoder
+from drivers.scip_protocol import encode_reply
+from drivers.simulators.hokuyo_device import HokuyoBuild
+from drivers.simulators.link import SimulatedTime
+from logs.messages import LaserScan, RawBytes, WheelOdometry
+
+MS = 1_000_000
+
+
+def test_commands_leave_the_firmware_time(robot_bench):
+    """Its command loop runs at 1 kHz: commands closer than 3 to 5 ms may be dropped."""
+    bench = robot_bench()
+    bench.session.connect()
+    bench.run(2.0)
+    sent = [m.stamp_ns for m in bench.messages(RawBytes) if m.direction == "tx"]
+    assert np.diff(sent).min() >= 4.9 * MS
+
+
+def test_arias_modem_words_before_sync0_are_skipped(robot_bench):
+    bench = robot_bench()
+    bench.line.to_device(b"WMS2\r" + encode_command(0), 0.0, 9600)
+    assert [command.id for command in bench.device.commands] == [0]
+
+
+def test_a_laser_that_answers_while_it_boots_is_there_afterwards(laser_bench):
+    bench = laser_bench(HokuyoBuild(boot_s=3.0, boot_status="0M"))
+    with pytest.raises(NoReply):
+        bench.session.connect()
+    bench.session.drop()
+    bench.time.sleep(3.0)
+    bench.session.connect()
+    bench.run(1.0)
+    assert len(bench.messages(LaserScan)) > 30
+
+
+class Script:
+    """A port that answers each line from a list, and adds what a broken link would."""
+
+    name, has_baud = "script", False
+
+    def __init__(self, time, answer):
+        self.time, self.answer, self.waiting = time, answer, b""
+
+    def read(self, timeout_s):
+        self.time.sleep(0.001 if self.waiting else timeout_s)
+        data, self.waiting = self.waiting, b""
+        return data
+
+    def write(self, data):
+        self.waiting += self.answer(data)
+
+    def set_baud(self, baud):
+        pass
+
+    def close(self):
+        pass
+
+
+def test_a_line_that_echoes_what_is_sent_does_not_confuse_the_laser(laser_bench):
+    """A CDC port with its echo left on, as on one boot in ten."""
+    bench = laser_bench()
+
+    def echoing(data):
+        bench.line.to_device(data, bench.time.now_s, 0)
+        return data
+
+    class Echo(Script):
+        def read(self, timeout_s):
+            data = super().read(0.001)
+            return data + bench.line.to_host(bench.time.now_s, 0)
+
+    session = Hokuyo(HokuyoConfig(port="echo"), bench.received.append, bench.time,
+                     lambda name, baud: Echo(bench.time, echoing))  # fmt: skip
+    session.connect()
+    end = bench.time.now_s + 1.0
+    while bench.time.now_s < end:
+        session.poll()
+    assert len(bench.messages(LaserScan)) > 30
+
+
+def test_a_loop_back_plug_is_no_robot():
+    time = SimulatedTime()
+    session = Pioneer(PioneerConfig(port="loop"), lambda received: None, time,
+                      lambda name, baud: Script(time, lambda data: data))  # fmt: skip
+    with pytest.raises((WrongDevice, NoReply)):
+        session.connect()
+
+
+def test_a_stale_answer_is_not_taken_for_the_next_one():
+    """After an error urg_library before 2025-08 read the old QT as the answer to GD."""
+    time, asked = SimulatedTime(), []
+
+    def answer(data):
+        asked.append(data)
+        line = data.strip()
+        stale = encode_reply(b"QT", "00")
+        return stale + (encode_reply(line, "00") if line == b"QT" else b"")
+
+    session = Hokuyo(HokuyoConfig(port="stale"), lambda received: None, time,
+                     lambda name, baud: Script(time, answer))  # fmt: skip
+    with pytest.raises(WrongDevice, match="no parameters"):
+        session.connect()
+    assert [line for line in asked if line.startswith(b"PP")]
+    assert session.decoder.parameters is None
+
+
+def test_a_step_of_more_than_100_mm_is_motion_all_the_same():
+    """Where p2os drops such a step, after a serial line has stalled, motion is lost silently."""
+    decoder, found = PioneerDecoder(), []
+    wire = encode_packet(encode_identity(Identity("a", "Pioneer", "p3dx-sh")))
+    for x in (0, 50, 450, 500):
+        wire = wire + encode_packet(encode_standard(StandardReport(x=x)))
+        found += decoder.decode(RawBytes((x + 1) * 2 * MS, "p3dx", "rx", wire))
+        wire = b""
+    assert [m.x for m in found if isinstance(m, WheelOdometry)] == pytest.approx(
+        [0.0, 0.05, 0.45, 0.5]
+    )
+    assert decoder.counters()["odometry_jumps"] == 0
+
+
+def test_a_confused_robot_is_synchronised_anew(robot_bench):
+    """0xFF answers a SYNC in the wrong order."""
+    bench = robot_bench()
+    for number in (0, 2):
+        bench.line.to_device(encode_command(number), bench.time.now_s, 9600)
+    bench.session.connect()
+    assert bench.device.sending
+    assert Id.OPEN in [command.id for command in bench.device.commands]
