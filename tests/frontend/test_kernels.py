@@ -62,6 +62,7 @@ def test_nearest_beam_looks_at_its_own_reference_only(one, other, x, y):
     assert joined == alone
 
 
+@settings(deadline=None)
 @given(finite, finite)
 def test_bearing_is_good_to_a_fiftieth_of_a_beam(x, y):
     if x == y == 0.0:
@@ -71,6 +72,7 @@ def test_bearing_is_good_to_a_fiftieth_of_a_beam(x, y):
         assert abs((apart + np.pi) % (2 * np.pi) - np.pi) < 2e-4
 
 
+@settings(deadline=None)
 @given(st.integers(0, 9999), st.floats(-6, 6))
 def test_small_matrices_are_inverted_and_solved(seed, scale):
     rng = np.random.default_rng(seed)
@@ -89,6 +91,7 @@ def test_singular_systems_are_refused(a):
     assert not solve3(a, np.ones(3), np.empty(3))
 
 
+@settings(deadline=None)
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(-1.5, 1.5))
 def test_eigen2_names_the_direction_of_the_smaller_eigenvalue(low, extra, angle):
     c, s = np.cos(angle), np.sin(angle)
