@@ -22,8 +22,8 @@ def bench_log(quick: bool, folder: Path | None = None) -> dict[str, Any]:
             if not said, because a system's folder for temporary files may be in memory.
 
     Returns:
-        `rows`, one a set of sensors, with the columns that `logs.bench` describes; `meta`
-        with the machine, and under `fsync` what bringing a chunk to the disk costs (ms).
+        `rows`, one a set of sensors, with the columns that `logs.bench` describes, and what
+        bringing a chunk to the disk costs (ms, for all sensors alike); `meta` with the machine.
 
     Raises:
         LogError: the folder cannot be written.
@@ -35,7 +35,8 @@ def bench_log(quick: bool, folder: Path | None = None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="slam-bench-", dir=where) as work:
         *rows, fsync = log_rows(work, seconds)
     del fsync["case"]
+    rows = [row | fsync for row in rows]
     meta = {
-        "machine": platform.machine(), "cores": os.cpu_count(), "log_s": seconds, "fsync": fsync,
+        "machine": platform.machine(), "cores": os.cpu_count(), "log_s": seconds,
     }  # fmt: skip
     return {"meta": meta, "rows": rows}

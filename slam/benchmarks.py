@@ -37,6 +37,12 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
         "overhead_s_per_task": "s a task beyond its replay", "identical": "identical",
     },
+    "log": {
+        "case": "laser", "messages": "messages", "write_per_s": "written/s",
+        "write_x_realtime": "x real", "read_per_s": "read/s", "mb_per_hour": "MB/h",
+        "mb_per_hour_closed": "closed MB/h", "read_rss_mb": "MB to read it",
+        "sync_ms_median": "fsync ms", "sync_ms_p99": "p99",
+    },
     "growth": {
         "keyframes": "keyframes", "closures": "closures", "way_m": "way m",
         "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "most",

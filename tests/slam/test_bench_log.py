@@ -4,6 +4,7 @@ import json
 
 from slam import bench_log
 from slam.bench_log import bench_log as run
+from slam.benchmarks import COLUMNS, table
 
 
 def test_rows_are_alike_and_nothing_is_left_behind(tmp_path, monkeypatch):
@@ -15,5 +16,7 @@ def test_rows_are_alike_and_nothing_is_left_behind(tmp_path, monkeypatch):
     assert [row["case"] for row in found["rows"]] == ["181 beams 10 Hz", "1081 beams 40 Hz"]
     assert all(row["write_per_s"] > 0 and row["mb_per_hour"] > 0 for row in found["rows"])
     assert found["meta"]["log_s"] == 2.0
-    assert found["meta"]["fsync"]["sync_ms_median"] > 0
+    assert first["sync_ms_median"] > 0
+    assert COLUMNS["log"].keys() <= first.keys()
+    assert table("log", found["rows"]).row_count == 2
     json.dumps(found, allow_nan=False)
