@@ -103,7 +103,7 @@ def run_online(
                 summary = _map(recording, live, slam, watch, identity, summary, began, watcher)
         finally:
             finish_folder(folder, summary, config.slam)
-    if status.stopped:
+    if status.stopped and slam is None:
         raise RunError(status.stopped)
     return summary
 

@@ -1,7 +1,8 @@
 """Where the messages of all devices get their one order: recorded first, then handed on.
 
 The order in the log is the order in which the pipeline gets them, so that a replay of the
-log is the same run.  What could not be recorded is not used either, and counted.
+log is the same run.  What could not be recorded is not used either, and counted, until recording
+has ended for want of room: from then on there is no log to agree with.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class Intake:
     def __init__(self, log: Log, hand_on: bool = True) -> None:
         """Without `hand_on`, messages are recorded and counted only."""
         self.unrecorded: Counter[str] = Counter()  # per topic
+        self.unlogged = False  # recording has ended: use messages all the same
         self.scans = 0
         self.last_scan_ns = 0  # receipt
         self._log, self._hand_on = log, hand_on
@@ -59,7 +61,8 @@ class Intake:
                 return
             if not self._log.put(message, receipt_ns):
                 self.unrecorded[topic_of(message)] += 1
-                return
+                if not self.unlogged:
+                    return
             if isinstance(message, LaserScan):
                 self.scans += 1
                 self.last_scan_ns = receipt_ns

@@ -63,6 +63,7 @@ class LiveRun:
         self._watcher = watcher or Nobody()
         self._links = {"p3dx": "waiting", "laser": "waiting"}
         self._said: dict[str, str] = {}
+        self._notices: list[str] = []
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
         self._age_s = 0.0
         self._noted: dict[str, dict[str, str]] = {}  # metadata by its name
@@ -124,8 +125,20 @@ class LiveRun:
             raise RunError("the thread of a device has died; this is a defect of ours, see above")
         now = self._clock()
         if now - self._looked_ns >= _DISK_S * 1e9:
-            self._looked_ns, self.ended_by = now, self._recorder.status().stopped
+            self._looked_ns = now
+            self._look_at_the_recording()
         return bool(self.ended_by)
+
+    def _look_at_the_recording(self) -> None:
+        """Where the disk has no room left, the map goes on without a log."""
+        status = self._recorder.status()
+        if not status.stopped or self.intake.unlogged:
+            return
+        if self.slam is not None and status.files:
+            self.intake.unlogged = True
+            self._notices.append(f"{status.stopped}; the map goes on without a log")
+        else:
+            self.ended_by = status.stopped
 
     def _tell_if_due(self, tell: Callable[[Status], None], period_s: float) -> None:
         now = self._clock()
@@ -157,7 +170,7 @@ class LiveRun:
 
     def _news(self) -> tuple[str, ...]:
         """What has happened to the devices, without repeating that one is still not there."""
-        news = []
+        news, self._notices = self._notices, []
         for event in self.intake.events():
             self._links[event.device] = event.kind
             said = event.detail.removeprefix(f"{event.kind}: ")

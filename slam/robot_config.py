@@ -105,7 +105,7 @@ class RecordingConfig(BaseModel):
         8192, ge=64, description="messages that may wait for the disk; more are lost, and counted"
     )
     reserve_mib: int = Field(
-        256, ge=0, description="MiB to leave free on the disk; with less the run ends"
+        256, ge=0, description="MiB to leave free on the disk; with less recording ends"
     )
     rotate_mib: int = Field(0, ge=0, description="MiB after which a new file begins; 0: never")
     rotate_minutes: float = Field(

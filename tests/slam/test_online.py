@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -189,6 +190,31 @@ def test_a_disk_that_runs_full_ends_the_run_with_what_there_is(simulated, tmp_pa
             run_online(config, tmp_path / "run", stop=after(20.0), record_only=True)
     with open_log(tmp_path / "run" / "run.mcap") as log:
         assert log.counts()
+
+
+def test_the_map_goes_on_when_the_disk_has_no_room_left_for_the_log(
+    simulated, tmp_path, monkeypatch
+):
+    end, told = time.monotonic() + 8.0, []
+
+    def disk_usage(folder):
+        return SimpleNamespace(free=2**40 if time.monotonic() < end else 0)
+
+    monkeypatch.setattr("logs.recorder.shutil.disk_usage", disk_usage)
+    with simulated() as robot:
+        config = robot.config.model_copy(update={"recording": RecordingConfig(reserve_mib=1)})
+        out = tmp_path / "run"
+        end = time.monotonic() + 4.0
+        summary = run_online(config, out, stop=after(8.0), tell=told.append, period_s=0.5)
+    assert "the map goes on without a log" in " ".join(" ".join(status.news) for status in told)
+    assert summary["recording"]["stopped"].endswith("free some space")
+    assert summary["lost"]["not recorded: /scan"] > 40
+    with open_log(out / "run.mcap") as log:
+        recorded = log.counts()
+        assert not log.skipped
+    assert recorded["/scan"] < summary["scans"] - 40
+    assert recorded["/pose"] == summary["scans"]
+    assert (out / "map.pgm").exists()
 
 
 def test_an_unfinished_recording_is_never_overwritten(tmp_path):
