@@ -31,6 +31,7 @@ from slam.bench_paper_drives import (
     follow,
     matched,
     paper_bed_drive,
+    sdp_pe,
 )
 from slam.bench_paper_figures import draw_figures
 from slam.bench_paper_report import overview, write_paper_report
@@ -115,7 +116,7 @@ def choices(drive: Drive, stretch: float) -> dict[str, Choice]:
     """The scans that each method of choosing takes."""
     used: dict[str, Choice] = {str(k): every(k) for k in CONSTANT}
     for kind, factor in (("", stretch), ("-shipped", 1.0)):
-        own = chosen(drive, KeyframeConfig(method="sdp-pe"), factor)
+        own = chosen(drive, sdp_pe(factor))
         used["sdp-pe" + kind], used["even" + kind] = own, evenly(len(own))
     return used
 
@@ -125,12 +126,11 @@ def stretch_for(reading: Reading, bed: BedConfig | None) -> float:
 
     On other beds than those reported on, and on three of four of them.
     """
-    config = KeyframeConfig(method="sdp-pe")
     drives = [paper_bed_drive(reading, FIRST_TRAINING_SEED + k, bed) for k in range(12)]
     low, high = 0.01, 10.0
     for _ in range(12):
         middle = float(np.sqrt(low * high))
-        count = np.quantile([len(chosen(drive, config, middle)) for drive in drives], 0.75)
+        count = np.quantile([len(chosen(drive, sdp_pe(middle))) for drive in drives], 0.75)
         low, high = (middle, high) if count > PAPER_COUNTS[-1] else (low, middle)
     return high
 

@@ -22,6 +22,7 @@ from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
 from slam.odometry import OdometryConfig
 
 Reading = Literal["180cm", "878cm"]
+Length = Callable[[PreparedScan], float]  # m from a scan to the next to be matched
 Step = Callable[[int, int], Pose2]  # from scan i to scan j: i_T_j
 
 READINGS: tuple[Reading, ...] = ("180cm", "878cm")
@@ -85,19 +86,27 @@ def evenly(count: int, scans: int = PAPER_SCANS) -> tuple[int, ...]:
     return tuple(int(k) for k in np.linspace(0, scans - 1, count).round())
 
 
-def chosen(drive: Drive, config: KeyframeConfig, stretch: float = 1.0) -> tuple[int, ...]:
-    """The scans that a method takes whose interval, in m, depends on what the last one sees.
+def chosen(drive: Drive, length: Length) -> tuple[int, ...]:
+    """The scans that a method takes whose interval depends on what the last one sees.
 
-    `stretch` multiplies every interval: it sets how many scans are used, not where they lie
-    closer than elsewhere.  The last scan is always taken, lest a shorter way look better.
+    The last scan is always taken, lest a shorter way look better.
     """
     used = [0]
     while True:
-        length_m = stretch * interval_after(drive.scans[used[-1]], config).length
-        following = used[-1] + max(int(np.ceil(length_m / drive.step_m)), 1)
+        steps = int(np.ceil(length(drive.scans[used[-1]]) / drive.step_m))
+        following = used[-1] + max(steps, 1)
         if following >= len(drive.scans) - 1:
             return (*used, len(drive.scans) - 1)
         used.append(following)
+
+
+def sdp_pe(stretch: float = 1.0) -> Length:
+    """SDP-PE's interval as it ships, times `stretch`.
+
+    That sets how many scans are used, not where they lie closer than elsewhere.
+    """
+    config = KeyframeConfig(method="sdp-pe")
+    return lambda scan: stretch * interval_after(scan, config).length
 
 
 def matched(drive: Drive, config: MatchConfig, with_odometry: bool) -> Step:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from frontend.keyframes import KeyframeConfig
 from frontend.matching import MatchConfig
 from frontend.scan import VALID
 from slam.bench_paper_drives import (
@@ -29,6 +28,7 @@ from slam.bench_paper_drives import (
     follow,
     matched,
     paper_bed_drive,
+    sdp_pe,
 )
 from slam.bench_paper_study import BEDS, RULES, by_rules
 
@@ -120,7 +120,7 @@ def draw_maps(nearest: Mapping[str, Any], stretch: float, path: Path) -> None:
     )
     for line, (title, drive, step, factor) in enumerate(cases):
         ways = {f"interval {k}": every(k) for k in CONSTANT}
-        ways["SDP-PE"] = chosen(drive, KeyframeConfig(method="sdp-pe"), factor)
+        ways["SDP-PE"] = chosen(drive, sdp_pe(factor))
         for column, (name, used) in enumerate(ways.items()):
             axes = figure.add_subplot(len(cases), len(ways), line * len(ways) + column + 1)
             _map(axes, drive, follow(drive, used, step))

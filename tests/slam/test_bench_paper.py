@@ -19,6 +19,7 @@ from slam.bench_paper_drives import (
     follow,
     matched,
     paper_bed_drive,
+    sdp_pe,
 )
 from slam.bench_paper_figures import draw_comparison
 from slam.bench_paper_icp import drop_longest, part_rivals
@@ -49,7 +50,7 @@ def test_a_drive_has_462_scans_on_180_centimetres(drive):
 
 def test_sdp_pe_goes_all_the_way_and_its_control_takes_as_many_scans(drive):
     config = KeyframeConfig(method="sdp-pe")
-    used = chosen(drive, config)
+    used = chosen(drive, sdp_pe())
     assert used[0] == 0
     assert used[-1] == 461
     steps = drive.step_m * np.diff(used)
@@ -62,8 +63,7 @@ def test_sdp_pe_goes_all_the_way_and_its_control_takes_as_many_scans(drive):
 
 
 def test_shorter_intervals_use_more_scans(drive):
-    config = KeyframeConfig(method="sdp-pe")
-    counts = [len(chosen(drive, config, stretch)) for stretch in (0.001, 0.1, 0.3, 1.0, 100.0)]
+    counts = [len(chosen(drive, sdp_pe(stretch))) for stretch in (0.001, 0.1, 0.3, 1.0, 100.0)]
     assert counts[0] == 462
     assert counts[-1] == 2
     assert counts == sorted(counts, reverse=True)
