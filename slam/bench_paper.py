@@ -29,6 +29,7 @@ from slam.bench_paper_drives import (
     evenly,
     every,
     follow,
+    information,
     matched,
     paper_bed_drive,
     sdp_pe,
@@ -96,9 +97,9 @@ def _run(reading: Reading, stretch: float, seeds: int, outcomes: Outcomes) -> No
         range(seeds), reading, console=console, transient=True, disable=not console.is_terminal
     ):
         drive = paper_bed_drive(reading, seed)
-        for interval, used in choices(drive, stretch).items():
-            for matcher in get_args(Method):
-                for odometry in (False, True):
+        for odometry in (False, True):
+            for interval, used in choices(drive, stretch, odometry).items():
+                for matcher in get_args(Method):
                     setting = Setting(reading, matcher, odometry, interval)
                     step = matched(drive, MatchConfig(method=matcher), odometry)
                     outcomes.setdefault(setting, []).append(follow(drive, used, step))
@@ -112,12 +113,13 @@ def warm_up(reading: Reading) -> None:
             follow(drive, every(100), matched(drive, MatchConfig(method=matcher), odometry))
 
 
-def choices(drive: Drive, stretch: float) -> dict[str, Choice]:
+def choices(drive: Drive, stretch: float, odometry: bool) -> dict[str, Choice]:
     """The scans that each method of choosing takes."""
     used: dict[str, Choice] = {str(k): every(k) for k in CONSTANT}
     for kind, factor in (("", stretch), ("-shipped", 1.0)):
         own = chosen(drive, sdp_pe(factor))
         used["sdp-pe" + kind], used["even" + kind] = own, evenly(len(own))
+    used["information"] = chosen(drive, information(drive, odometry))
     return used
 
 

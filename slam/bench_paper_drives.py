@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from drivers.simulators.drive import PAPER_LENGTHS_M, PAPER_SCANS, paper_drive
 from drivers.simulators.laser import LASERS, LaserConfig
 from drivers.simulators.paper_bed import BedConfig
-from frontend.keyframes import KeyframeConfig, interval_after
+from frontend.information import Outlook
+from frontend.keyframes import KeyframeConfig, interval_after, interval_ahead
 from frontend.matching import MatchConfig, Prior, Reference, match
 from frontend.scan import PreparedScan, ScanConfig, prepare
 from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
@@ -27,7 +28,7 @@ Step = Callable[[int, int], Pose2]  # from scan i to scan j: i_T_j
 
 READINGS: tuple[Reading, ...] = ("180cm", "878cm")
 CONSTANT = (1, 5, 10, 15, 20)  # intervals in scans
-INTERVALS = (*map(str, CONSTANT), "sdp-pe", "even", "sdp-pe-shipped", "even-shipped")
+INTERVALS = (*map(str, CONSTANT), "sdp-pe", "even", "sdp-pe-shipped", "even-shipped", "information")
 
 # The paper's own figures for these intervals and, last, for SDP-PE.
 PAPER_ERRORS_CM = (107.6, 30.6, 10.8, 8.3, 3.0, 2.4)
@@ -107,6 +108,21 @@ def sdp_pe(stretch: float = 1.0) -> Length:
     """
     config = KeyframeConfig(method="sdp-pe")
     return lambda scan: stretch * interval_after(scan, config).length
+
+
+def information(drive: Drive, with_odometry: bool) -> Length:
+    """The interval after which a match to this scan alone is foreseen to be worth most."""
+    config, matcher, wheels = KeyframeConfig(method="information"), MatchConfig(), OdometryConfig()
+    speed = drive.step_m / drive.period_s
+
+    def odometry(metres: float) -> NDArray[np.float64]:
+        return wheels.covariance(metres, 0.0, metres / speed) if with_odometry else np.eye(3)
+
+    outlook = Outlook(
+        odometry, 1, matcher.range_noise, matcher.correlation, ScanConfig().gap_ratio
+    )  # fmt: skip
+    ahead = Pose2(1.0, 0.0, 0.0)
+    return lambda scan: interval_ahead(scan, ahead, outlook, config).length
 
 
 def matched(drive: Drive, config: MatchConfig, with_odometry: bool) -> Step:

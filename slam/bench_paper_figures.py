@@ -77,7 +77,11 @@ def draw_comparison(rows: Rows, reading: str, path: Path) -> None:
         axes.plot(paper, values, "kD", ms=6, label="the paper")
         axes.set_yscale("log")
         axes.set_xticks(
-            range(len(INTERVALS)), [name.replace("-shipped", "\nshipped") for name in INTERVALS]
+            range(len(INTERVALS)),
+            [
+                name.replace("-shipped", "\nshipped").replace("information", "infor-\nmation")
+                for name in INTERVALS
+            ],
         )
         axes.grid(axis="y", alpha=0.3)
     for name, colour in COLOURS.items():

@@ -17,6 +17,7 @@ from slam.bench_paper_drives import (
     evenly,
     every,
     follow,
+    information,
     matched,
     paper_bed_drive,
     sdp_pe,
@@ -67,6 +68,15 @@ def test_shorter_intervals_use_more_scans(drive):
     assert counts[0] == 462
     assert counts[-1] == 2
     assert counts == sorted(counts, reverse=True)
+
+
+@pytest.mark.parametrize("with_odometry", [False, True])
+def test_information_goes_as_far_as_its_limits_allow(drive, with_odometry):
+    config = KeyframeConfig()
+    used = chosen(drive, information(drive, with_odometry))
+    steps = drive.step_m * np.diff(used)
+    assert (steps[:-1] >= config.shortest).all()
+    assert (steps <= config.longest + drive.step_m).all()
 
 
 def test_true_steps_end_without_error(drive):
@@ -145,7 +155,9 @@ def made_up(kind, errors, control):
     found = {
         Setting(*case, str(k)): [outcome(0.5 / k, len(every(k)))] * len(errors) for k in CONSTANT
     }
-    for name, values in ((f"sdp-pe{kind}", errors), (f"even{kind}", control)):
+    for name, values in (
+        (f"sdp-pe{kind}", errors), (f"even{kind}", control), ("information", errors)
+    ):  # fmt: skip
         found[Setting(*case, name)] = [outcome(value, 23) for value in values]
     return found
 

@@ -45,12 +45,12 @@ def crowd(place, reach):
     return at
 
 
-STILL = [Pose2(0.3, 0.2, 0.1)] * 400
-TURNING = [Pose2(0.3, 0.2, 0.02 * k) for k in range(400)]  # 0.2 rad/s, more than a full turn
+STILL = [Pose2(0.3, 0.2, 0.1)] * 150
+TURNING = [Pose2(0.3, 0.2, 0.02 * k) for k in range(330)]  # 0.2 rad/s, more than a full turn
 DRIVING = [Pose2(0.05 * k, 0.0, 0.0) for k in range(240)]  # 0.5 m/s for 12 m
 IN_THE_ROOM = [Pose2(0.05 * k - 3.5, 0.0, 0.0) for k in range(80)]
-CREEPING = [Pose2(0.0005 * k, 0.0, 0.0) for k in range(600)]  # 5 mm/s for a minute
-BACK_AND_FORTH = [Pose2(0.15 * np.sin(0.1 * k), 0.0, 0.0) for k in range(400)]
+CREEPING = [Pose2(0.0005 * k, 0.0, 0.0) for k in range(250)]  # 5 mm/s
+BACK_AND_FORTH = [Pose2(0.15 * np.sin(0.1 * k), 0.0, 0.0) for k in range(150)]
 
 PLACES = {
     "standing still": (ROOM, STILL),
@@ -79,15 +79,15 @@ BLIND = {"standing still in the open", "nothing in view", "glass on both sides"}
 def run_in(sense):
     """The run through a place with a method of choosing keyframes, made once."""
 
+    sensed = cache(lambda name: sense(*PLACES[name]))
+
     @cache
     def made(method, name):
-        world, poses = PLACES[name]
         slam = Slam(load_config(None, ["loops.enabled=false", f"keyframes.method={method}"]))
-        messages = sense(world, poses)
-        for message in messages:
+        for message in sensed(name):
             slam.step(message)
         slam.finish_input()
-        slam.seen = [message for message in messages if isinstance(message, LaserScan)]
+        slam.seen = [message for message in sensed(name) if isinstance(message, LaserScan)]
         return slam
 
     return made
