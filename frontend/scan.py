@@ -38,6 +38,9 @@ class ScanConfig(BaseModel):
     normal_sigma_max: float = Field(
         0.20, gt=0, description="rad, less certain normals are not used as lines"
     )
+    unbend: bool = Field(
+        False, description="take the motion during a sweep out of scans that tell their timing"
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -37,7 +37,7 @@ from slam.trajectory import Trajectory, write_tum
 
 _FAR_S = 1e9  # a start that is not yet decided
 _READY_S = 150.0  # kernels may have to be compiled first
-_CLOSE_S = 60.0
+_CLOSE_S = 60.0  # and as long again as the drive: every scan is matched once more
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -130,7 +130,7 @@ def drive_online(
             duration_s = robot.motion.ends_s - server.now_s
             say(f"driving through the {plan.world} for {duration_s:.0f} s, at 40 scans a second")
             _wait(lambda: server.now_s > robot.motion.ends_s + 0.5, process, plan.most_s)
-            process.stop()
+            process.stop(_CLOSE_S + duration_s)
             began_ns = server.began_ns
         write_tum(folder / "truth.tum", robot.true_path(began_ns))
 
@@ -161,7 +161,7 @@ class _Process:
             self._relay.join(1.0)
             raise RunError(f"slam online has failed: {self.last.removeprefix('slam: ')}")
 
-    def stop(self) -> None:
+    def stop(self, most_s: float) -> None:
         """Interrupt it as an operator does, and wait for its RUN.
 
         Raises:
@@ -169,9 +169,9 @@ class _Process:
         """
         self._child.send_signal(signal.SIGINT)
         try:
-            code = self._child.wait(_CLOSE_S)
+            code = self._child.wait(most_s)
         except subprocess.TimeoutExpired as error:
-            raise RunError(f"slam online does not end within {_CLOSE_S:.0f} s") from error
+            raise RunError(f"slam online does not end within {most_s:.0f} s") from error
         if code != 128 + signal.SIGINT:
             self.check()
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from backend.batch import OUTLIER
 from backend.edges import Edge
 from frontend.scan import prepare
+from frontend.unbend import unbend
 from logs.messages import (
     LaserScan,
     Message,
@@ -214,6 +215,8 @@ def _localise(
             continue
         if message.stamp_ns != slam.scan_stamps_ns[row]:
             continue
+        if slam.sweeps:
+            message = unbend(message, slam.mount, slam.sweeps[row])
         scan = prepare(message, slam.mount, slam.config.scan)
         pose = localiser.locate(scan, Pose2(*guesses[row]), int(after[row]) in slam.doubted)
         found[row] = pose.x(), pose.y(), pose.theta()

@@ -18,6 +18,7 @@ from frontend.information import Outlook
 from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
 from frontend.matching import Prior, Reference
 from frontend.scan import PreparedScan, prepare
+from frontend.unbend import sweep_ns, unbend
 from logs.messages import (
     FactorRecord,
     KeyframeDecision,
@@ -71,6 +72,9 @@ class Slam:
         self.keyframes: list[Keyframe] = []
         self.scan_stamps_ns: list[int] = []
         self.odom_poses: list[tuple[float, float, float]] = []  # odom_T_base of each scan
+        self.sweeps: list[
+            tuple[float, float, float]
+        ] = []  # motion while it was taken, of each scan
         self.decisions: list[KeyframeDecision] = []
         self.factors: list[FactorRecord] = []
         self.estimates: list[PoseEstimate] = []
@@ -125,16 +129,19 @@ class Slam:
     def _drain(self, wait: bool) -> None:
         while self._pending:
             scan = self._pending[0]
-            if wait and (not self._odometry or self._odometry.last_ns < scan.stamp_ns):
+            sweep = sweep_ns(scan) if self.config.scan.unbend else 0
+            end_ns = scan.stamp_ns + sweep
+            if wait and (not self._odometry or self._odometry.last_ns < end_ns):
                 if self._pending[-1].stamp_ns - scan.stamp_ns < MAX_WAIT_NS:
                     return
                 self.lost["scan without odometry in time"] += 1
             self._pending.popleft()
             odom_T_base = self._odometry.at(scan.stamp_ns) if self._odometry else Pose2()
-            self._take(scan, odom_T_base)
+            moved = odom_T_base.between(self._odometry.at(end_ns)) if sweep else Pose2()
+            self._take(scan, odom_T_base, (moved.x(), moved.y(), moved.theta()))
 
-    def _take(self, scan: LaserScan, odom_T_base: Pose2) -> None:
-        """Use one scan whose odometry is known."""
+    def _take(self, scan: LaserScan, odom_T_base: Pose2, moved: tuple[float, float, float]) -> None:
+        """Use one scan whose odometry is known, and how far it says the sweep was moved."""
         if self.scan_stamps_ns and scan.stamp_ns <= self.scan_stamps_ns[-1]:
             self.lost["scan with a stamp that runs backwards"] += 1
             return
@@ -142,6 +149,9 @@ class Slam:
             self.noted["scan without any return"] += 1
         if self.scan_stamps_ns and scan.stamp_ns - self.scan_stamps_ns[-1] > GAP_NS:
             self.odometry_faults["scan-gap"] += 1
+        if self.config.scan.unbend:
+            scan = unbend(scan, self.mount, moved)
+            self.sweeps.append(moved)
         sighting = self._sight(scan, odom_T_base)
         self.scan_stamps_ns.append(scan.stamp_ns)
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))

@@ -149,6 +149,28 @@ def test_a_rotated_recording_stays_in_parts_and_gives_the_same_run(simulated, tm
             assert (out / name).read_bytes() == (tmp_path / again / name).read_bytes(), name
 
 
+def random_wire(rng):
+    """Two kinds of fault on one wire; its windows begin while the robot drives."""
+    at = rng.uniform(3.0, 5.5)
+    window = ((at, at + rng.uniform(0.1, 1.2)),)
+    kinds = {
+        "flip_rate": 10.0 ** rng.uniform(-6, -4), "loss_rate": 10.0 ** rng.uniform(-6, -4),
+        "split": int(rng.integers(20, 400)), "hold_s": rng.uniform(0.02, 0.1),
+        "delay_s": rng.uniform(0.01, 0.05), "silences": window, "unplugged": window,
+    }  # fmt: skip
+    chosen = rng.choice(list(kinds), size=2, replace=False)
+    return WireFaults(**{k: kinds[k] for k in chosen}, seed=int(rng.integers(1000)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_twenty_live_runs_with_random_faults_are_their_replays(simulated, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    with simulated(random_wire(rng), random_wire(rng)) as robot:
+        run_online(robot.config, tmp_path / "run", stop=after(9.0))
+    online_equals_replay(tmp_path / "run", tmp_path)
+
+
 def test_messages_are_recorded_before_they_are_used_and_behind_their_bytes(simulated, tmp_path):
     with simulated() as robot:
         run_online(robot.config, tmp_path / "run", stop=after(3.0), record_only=True)
