@@ -37,7 +37,7 @@ def unbend(scan: LaserScan, mount: LaserMount, moved: tuple[float, float, float]
     count = len(scan.ranges)
     if count < 2 or not any(moved):
         return scan
-    bearings = scan.angle_min + scan.angle_step * np.arange(count)
+    bearings = scan.angle_min + scan.angle_step * np.arange(count, dtype=np.float64)
     ranges = scan.ranges.astype(np.float64)
     turned, distances = _seen_from_the_first(bearings, ranges, mount, moved)
     at = np.arange(count) + turned / scan.angle_step
