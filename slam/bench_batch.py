@@ -90,16 +90,21 @@ def _outcome(out: Path) -> _Outcome:
 def _tiny(client: Client) -> dict[str, Any]:
     """Tasks as large as real ones, that do nothing."""
     config = SlamConfig()
+    before = _peak_mb()
     tasks = [make_task(f"{k}.mcap", str(k), config, None, Path("results")) for k in range(_TINY)]
     begin = time.perf_counter()
     done = sum(1 for _ in run_tasks(client, nothing, tasks))
     seconds = time.perf_counter() - begin
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "tiny_tasks": done,
         "tiny_s_per_task": seconds / done,
-        "client_peak_rss_mb": round(peak_kb / 1024, 1),
+        "client_peak_rss_mb": _peak_mb(),
+        "client_peak_rss_before_mb": before,
     }
+
+
+def _peak_mb() -> float:
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
 
 
 def nothing(task: Task) -> None:

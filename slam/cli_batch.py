@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from pathlib import Path
@@ -125,6 +126,11 @@ def tune(
     for line in summary_lines(tuned):
         typer.echo(line)
     _say(f"configuration: {out / 'config.toml'}")
+    unjudged = [entry.log for entry in tuned.scoring if not math.isfinite(entry.found.error_m)]
+    for log in unjudged:
+        _say(f"  failed: {log}, or it has no truth for the objective")
+    if unjudged:
+        raise typer.Exit(_LOSS)
 
 
 def _exit_on_loss(rows: list[dict[str, Any]]) -> None:

@@ -4,6 +4,8 @@ import http.server
 import io
 import json
 import os
+import signal
+import sys
 import threading
 from dataclasses import replace
 from functools import partial
@@ -13,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from logs.mcap_log import open_log
 from slam.batch import Batch, run_batch
 from slam.batch_engine import BatchError, engine, run_tasks
 from slam.batch_grid import make_grid
@@ -22,6 +25,7 @@ from slam.batch_run import make_task
 from slam.batch_sources import expand, find_truth, local_copy
 from slam.batch_table import is_time, make_row, parquet
 from slam.batch_task import log_hash, read_result, run_task
+from slam.cli import main
 from slam.config import ConfigError, SlamConfig
 from slam.errors import ReportError
 from slam.replay import file_sha256
@@ -155,6 +159,19 @@ def test_a_task_leaves_the_figures_of_its_replay(logs, tmp_path):
     assert record["figures"]["ate_rmse_m"] < 0.05
     assert record["summary"]["scans"] > 50
     assert [path.name for path in tmp_path.iterdir()] == [f"{task.key}.json"]
+
+
+def test_a_task_is_judged_by_the_truth_in_the_folder(logs, tmp_path):
+    log = logs / "drive0.mcap"
+    with open_log(log) as opened:
+        stamps = [m.stamp_ns for m in opened.messages(("/truth",))]
+    relation = f"{stamps[0] / 1e9:.6f} {stamps[-1] / 1e9:.6f} 1.80 0 0 0 0 0\n"
+    (tmp_path / "drive0.relations").write_text(relation)
+    task = make_task(str(log), file_sha256(log), SlamConfig(), tmp_path, tmp_path)
+    run_task(task)
+    relations = read_result(task)["figures"]["relations"]
+    assert (relations["n"], relations["missing"]) == (1, 0)
+    assert relations["trans_mean_m"] < 0.05
 
 
 def test_results_are_known_by_contents_not_by_places(logs, tmp_path):
@@ -295,3 +312,46 @@ def outcome(out):
     table = pq.read_table(out / "table.parquet")
     kept = table.drop_columns([name for name in table.column_names if is_time(name)])
     return kept.to_pylist(), *((out / f"report.{kind}").read_bytes() for kind in ("json", "html"))
+
+
+# The command
+
+
+def slam(capsys, monkeypatch, *arguments):
+    """Exit code and last words of a command that ends before any worker starts."""
+    monkeypatch.setattr(sys, "argv", ["slam", *map(str, arguments)])
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, capsys.readouterr().err.strip()
+
+
+def test_a_missing_extra_is_named(capsys, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    code, said = slam(capsys, monkeypatch, "batch", "a.mcap", "--out", tmp_path / "out")
+    assert code == 1
+    assert said == "slam: optuna is not installed: pip install 'sdp-slam[batch]' brings it"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "line"),
+    [
+        (["batch", "a.mcap", "--set", "keyframes.intervall=1,2"], 1, "unknown setting"),
+        (["batch", "a.mcap", "--workers", "2", "--scheduler", "tcp://x:1"], 2, "say one"),
+        (["batch", "a.mcap", "--workers", "0"], 2, "--workers"),
+        (["tune", "--train", "a.mcap", "--param", "keyframes.t_hihg=1:2"], 1, "did you mean"),
+        (
+            ["tune", "--train", "a.mcap", "--param", "loops.places=1:2", "--objective", "speed"],
+            1, "known are relations, ate, matches",
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_requests_are_refused_before_anything_is_made(
+    capsys, monkeypatch, tmp_path, arguments, code, line
+):
+    out = tmp_path / "out"
+    monkeypatch.setenv("COLUMNS", "200")
+    found, said = slam(capsys, monkeypatch, *arguments, "--out", out)
+    assert found == code
+    assert line in said
+    assert not out.exists()
