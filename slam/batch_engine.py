@@ -56,7 +56,7 @@ def engine(workers: int, scheduler: str | None = None) -> Iterator[Client]:
             with (
                 LocalCluster(
                     n_workers=workers, threads_per_worker=1, processes=True,
-                    dashboard_address=None, silence_logs=logging.CRITICAL,
+                    dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL,
                 ) as cluster,
                 Client(cluster) as client,
             ):  # fmt: skip
@@ -81,7 +81,7 @@ def run_tasks(
     """
     waiting = enumerate(items)
     indices: dict[Key, int] = {}
-    ended = as_completed()
+    ended = as_completed(loop=client.loop)
 
     def submit(count: int) -> None:
         for index, item in islice(waiting, count):

@@ -6,7 +6,8 @@ import io
 import resource
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,73 +19,89 @@ from slam.batch import Batch, run_batch
 from slam.batch_engine import engine, run_tasks
 from slam.batch_grid import Grid, make_grid
 from slam.batch_run import make_task
-from slam.batch_table import is_time
+from slam.batch_table import Row, is_time
 from slam.batch_task import Task, warm
 from slam.config import SlamConfig
 from slam.simulate import simulate_log
 
-_WORLD, _LOGS = "testbed-180cm", 40
+_WORLD, _LOGS, _SLICE = "testbed-180cm", 40, 8
 _SETTINGS = ("keyframes.method=constant", "keyframes.interval=0.1,0.2,0.3,0.4")
 _WORKERS = (1, 2)
 _TINY = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class _Outcome:
-    """What a batch left behind, but for the times."""
+class _Side:
+    """One number of workers."""
 
-    table: bytes
-    reports: tuple[bytes, bytes]
+    workers: int
+    client: Client
+    out: Path
 
 
 def bench_batch(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """The same batch with one worker and with two, then many tasks that do nothing."""
     grid = make_grid(None, _SETTINGS)
-    rows: list[dict[str, Any]] = []
-    outcomes: list[_Outcome] = []
-    with tempfile.TemporaryDirectory() as scratch:
-        logs = Path(scratch) / "logs"
-        logs.mkdir()
-        for seed in range(4 if quick else _LOGS):
-            name = f"{_WORLD}-{seed:02}.mcap"
-            simulate_log(_WORLD, logs / name, seed, "hokuyo-181", "typical")
+    with tempfile.TemporaryDirectory() as scratch, ExitStack() as stack:
+        logs = _simulate(Path(scratch), _SLICE if quick else _LOGS)
+        sides = []
         for workers in _WORKERS:
-            with engine(workers) as client:
-                client.wait_for_workers(workers)
-                client.run(warm)
-                out = Path(scratch) / f"out-{workers}"
-                rows.append(_timed(logs, grid, out, client, workers, say))
-                outcomes.append(_outcome(out))
-                tiny = _tiny(client)
-    for row, outcome in zip(rows, outcomes, strict=True):
-        row["speedup"] = rows[0]["wall_s"] / row["wall_s"]
-        row["identical"] = outcome == outcomes[0]
+            client = stack.enter_context(engine(workers))
+            client.wait_for_workers(workers)
+            client.run(warm)
+            sides.append(_Side(workers, client, Path(scratch) / f"out-{workers}"))
+        walls = [0.0 for _ in sides]
+        # In turns, so that both see the same of whatever else the machine has to do.
+        for begin in range(0, len(logs), _SLICE):
+            for k, side in enumerate(sides):
+                walls[k] += _timed(logs[begin : begin + _SLICE], grid, side)
+        tables = [run_batch(Batch(logs, grid, side.out), side.client, say) for side in sides]
+        rows = [
+            _row(side, table, wall, walls[0]) | {"identical": _same(sides[0].out, side.out)}
+            for side, table, wall in zip(sides, tables, walls, strict=True)
+        ]
+        tiny = _tiny(sides[-1].client)
     return {"meta": {"world": _WORLD, "settings": list(_SETTINGS), **tiny}, "rows": rows}
 
 
-def _timed(
-    logs: Path, grid: Grid, out: Path, client: Client, workers: int, say: Callable[[str], None]
-) -> dict[str, Any]:
+def _simulate(folder: Path, count: int) -> list[str]:
+    logs = [folder / f"{_WORLD}-{seed:02}.mcap" for seed in range(count)]
+    for seed, log in enumerate(logs):
+        simulate_log(_WORLD, log, seed, "hokuyo-181", "typical")
+    return [str(log) for log in logs]
+
+
+def _timed(logs: Sequence[str], grid: Grid, side: _Side) -> float:
     begin = time.perf_counter()
-    rows = run_batch(Batch([f"{logs}/*.mcap"], grid, out), client, say)
-    wall = time.perf_counter() - begin
+    run_batch(Batch(logs, grid, side.out), side.client, lambda _: None)
+    return time.perf_counter() - begin
+
+
+def _row(side: _Side, rows: Sequence[Row], wall: float, wall_of_one: float) -> dict[str, Any]:
     inside = sum(row["timing_task_s"] for row in rows)
     return {
-        "workers": workers,
+        "workers": side.workers,
         "tasks": len(rows),
-        "failed": sum(row["status"] != "ok" for row in rows),
         "wall_s": wall,
+        "speedup": wall_of_one / wall,
         "replays_s": inside,
-        "overhead_s_per_task": (wall * workers - inside) / len(rows),
+        "busy_share": inside / (wall * side.workers),
+        "overhead_s_per_task": (wall * side.workers - inside) / len(rows),
     }
 
 
-def _outcome(out: Path) -> _Outcome:
+def _same(one: Path, other: Path) -> bool:
+    """Whether two batches left the same, byte for byte, but for the times."""
+    reports = [(one / name, other / name) for name in ("report.html", "report.json")]
+    pages = all(a.read_bytes() == b.read_bytes() for a, b in reports)
+    return pages and _without_times(one) == _without_times(other)
+
+
+def _without_times(out: Path) -> bytes:
     table = pq.read_table(out / "table.parquet")
     stream = io.BytesIO()
     pq.write_table(table.drop_columns([n for n in table.column_names if is_time(n)]), stream)
-    reports = (out / "report.html", out / "report.json")
-    return _Outcome(stream.getvalue(), (reports[0].read_bytes(), reports[1].read_bytes()))
+    return stream.getvalue()
 
 
 def _tiny(client: Client) -> dict[str, Any]:

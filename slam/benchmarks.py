@@ -35,7 +35,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
     "batch": {
         "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
-        "overhead_s_per_task": "s a task beyond its replay", "identical": "identical",
+        "busy_share": "replaying", "overhead_s_per_task": "s a task beyond its replay",
+        "identical": "identical",
     },
     "log": {
         "case": "laser", "messages": "messages", "write_per_s": "written/s",
