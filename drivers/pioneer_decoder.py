@@ -97,10 +97,13 @@ class PioneerDecoder:
                 if command is not None and command.id == Id.SETO:
                     self._restart()
             return
-        for packet in self._framer.feed(raw.data, raw.stamp_ns):
+        packets = self._framer.feed(raw.data, raw.stamp_ns)
+        behind = sum(packet.id in STANDARD for packet in packets)
+        for packet in packets:
             yield packet
             if packet.id in STANDARD:
-                yield from self._standard(packet)
+                behind -= 1
+                yield from self._standard(packet, behind)
             elif packet.id == SYNC2:
                 self._identify(decode_identity(packet.payload))
             elif packet.id == CONFIG:
@@ -126,7 +129,7 @@ class PioneerDecoder:
             self.restarts += 1
             self._before = None
 
-    def _standard(self, packet: Packet) -> Iterator[WheelOdometry]:
+    def _standard(self, packet: Packet, behind: int) -> Iterator[WheelOdometry]:
         report = decode_standard(packet.payload)
         if report is None:
             self.cut_reports += 1
@@ -134,7 +137,7 @@ class PioneerDecoder:
             self.latest = report
             self.reports += 1
             # The first byte is stamped: the rest takes 23 ms at 38400 baud, 93 ms at 9600.
-            self._integrate(report, self._cycle.stamp(packet.begun_ns), self._model)
+            self._integrate(report, self._cycle.stamp(packet.begun_ns, behind), self._model)
             yield self._odometry
 
     def _integrate(self, report: StandardReport, stamp_ns: int, model: RobotModel) -> None:

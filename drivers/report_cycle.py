@@ -37,22 +37,26 @@ class ReportCycle:
         self._doubtful = 0  # reports that may have been late instead of lost
         self._points: deque[Point] = deque(maxlen=_REPORTS)  # (time by count, late by that)
 
-    def stamp(self, received_ns: int) -> int:
+    def stamp(self, received_ns: int, behind: int = 0) -> int:
         """Return when the report was sent that was received at `received_ns`, ns.
+
+        `behind` reports have come in at the same moment, after it: a host that was busy finds
+        several, and only the last of them can be new.
 
         Stamps rise strictly and are never later than the receipt, unless two reports were
         received at once.
         """
-        if self._points and received_ns - self._received_ns > _GAP_NS:
+        silent_ns = received_ns - self._received_ns - behind * self._cycle_ns
+        if self._points and silent_ns > _GAP_NS:
             self.restart()
-        at = self._next(received_ns)
+        at = self._next(received_ns, behind)
         self._points.append((at, received_ns - at))
         self._received_ns = received_ns
         stamp = min(received_ns, self._edge(at))
         self._last_ns = max(stamp, self._last_ns + 1)
         return self._last_ns
 
-    def _next(self, received_ns: int) -> int:
+    def _next(self, received_ns: int, behind: int) -> int:
         """Return the time by count of a report: one cycle on, or more if some were lost.
 
         Those that come right behind, before their time, were not lost but late.
@@ -60,7 +64,7 @@ class ReportCycle:
         if not self._points:
             return received_ns
         after = self._points[-1][0] + self._cycle_ns
-        late = (received_ns - self._edge(after)) / self._cycle_ns
+        late = (received_ns - self._edge(after + behind * self._cycle_ns)) / self._cycle_ns
         if late >= _LATE:
             lost = math.floor(late + 1.0 - _LATE)
             self._doubtful += lost

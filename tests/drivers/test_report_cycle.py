@@ -44,6 +44,17 @@ def test_a_lost_report_leaves_a_gap_and_nothing_else():
     assert np.abs(errors_ms(late, lost=(30, 31, 60))[5:]).max() < 6.0
 
 
+def test_reports_found_together_are_put_in_their_places():
+    """The host was busy for 0.8 s and finds eight reports at once."""
+    cycle, errors = ReportCycle(CYCLE), []
+    for k in range(100):
+        stalled = 40 <= k < 48
+        received = EPOCH + (47 if stalled else k) * CYCLE + 2 * MS * stalled
+        stamp = cycle.stamp(received, 47 - k if stalled else 0)
+        errors.append((stamp - EPOCH - k * CYCLE) / MS)
+    assert np.abs(errors).max() < 3.0
+
+
 def test_a_host_that_was_busy_does_not_move_the_times():
     late = np.zeros(100)
     late[40:43] = [250.0, 150.0, 50.0]  # three reports at once
