@@ -70,6 +70,10 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "rss_mb_first": "MB first", "rss_mb_last": "MB last",
         "growth_mb_per_hour": "MB an hour", "kb_per_keyframe": "kB a keyframe",
     },
+    "view": {
+        "log": "log", "watched_by": "watched by", "cpu_s": "pipeline's CPU s", "wall_s": "s",
+        "look_us": "us a step for it", "frames": "frames", "identical": "same run",
+    },
     "online-faults": {
         "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
         "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms", "wrong": "wrong",
@@ -138,6 +142,10 @@ def _measure(
         from slam.bench_memory import bench_memory
 
         return bench_memory(quick, say)
+    if name == "view":
+        from slam.bench_view import bench_view
+
+        return bench_view(data, quick, say)
     if name == "online-faults":
         from slam.bench_online_faults import bench_online_faults
 
@@ -160,7 +168,7 @@ def _measure(
         return bench_pareto(out, data, quick, say)
     known = (
         "benchmark", "batch", "buildings", "growth", "matcher", "memory", "outliers",
-        "online", "online-faults", "log", "paper", "pareto",
+        "online", "online-faults", "log", "paper", "pareto", "view",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 

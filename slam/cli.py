@@ -274,7 +274,7 @@ def bench(
         str,
         typer.Argument(
             help="benchmark, batch, buildings, growth, matcher, memory, outliers, online, "
-            "online-faults, log, paper, pareto"
+            "online-faults, log, paper, pareto, view"
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),

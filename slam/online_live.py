@@ -14,7 +14,7 @@ from drivers.ports import Port, open_port
 from drivers.reader import DeviceReader
 from logs.messages import LaserScan, WheelOdometry
 from logs.recorder import Recorder
-from slam.device_notes import clock_model, health, identity
+from slam.device_notes import clock_model, health, identity, line_of
 from slam.errors import RunError
 from slam.offline import feed
 from slam.online_intake import Intake, Taken
@@ -173,6 +173,7 @@ class LiveRun:
         news, self._notices = self._notices, []
         for event in self.intake.events():
             self._links[event.device] = event.kind
+            self._watcher.note(line_of(event))
             said = event.detail.removeprefix(f"{event.kind}: ")
             text = f"{event.device} {event.kind}: {said}"
             if text != self._said.get(event.device):
@@ -208,7 +209,9 @@ class LiveRun:
         notes = {"lost": {cause: str(n) for cause, n in self.losses().items()}}
         for session in (self.robot, self.laser):
             device, decoder = session.device, session.decoder
-            self._recorder.put(health(now, device, self._links[device], decoder))
+            state = health(now, device, self._links[device], decoder)
+            self._recorder.put(state)
+            self._watcher.note(state)
             notes[device] = identity(decoder) | clock_model(decoder)
         for name, values in notes.items():
             if values != self._noted.get(name, {}):

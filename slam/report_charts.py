@@ -93,7 +93,7 @@ def _sigma_charts(report: RunReport) -> list[Chart]:
         made.append((f"Error and claimed sigma, {axis} of the base", chart))
     ends = np.array([at.min(), at.max()])
     band = [
-        Curve(f"{share:.1%} of honest poses below", "c", ends, np.full(2, chi2.ppf(share, 3)))
+        Curve(f"{share:.1%} of honest ones", "c", ends, np.full(2, chi2.ppf(share, 3)))
         for share in (0.025, 0.975)
     ]
     nees = Curve("NEES", "a", at, report.sigmas.nees)

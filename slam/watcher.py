@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from logs.messages import Message
+from logs.messages import Message, StatusMessage
 from slam.offline import Result
 from slam.online_status import Status
 from slam.pipeline import Slam
@@ -19,6 +19,10 @@ class Watcher(Protocol):
 
     def tell(self, status: Status) -> None:
         """Called with the state of devices and losses, about once a second on a robot."""
+        ...
+
+    def note(self, message: StatusMessage) -> None:
+        """Called with what the run writes into its log about devices."""
         ...
 
     def stage(self, name: str) -> None:
@@ -37,6 +41,9 @@ class Nobody:
         """Nothing."""
 
     def tell(self, status: Status) -> None:
+        """Nothing."""
+
+    def note(self, message: StatusMessage) -> None:
         """Nothing."""
 
     def stage(self, name: str) -> None:

@@ -15,7 +15,7 @@ import foxglove
 import numpy as np
 
 from logs.foxglove import encode_transform
-from logs.messages import Message, OccupancyMap
+from logs.messages import Message, OccupancyMap, StatusMessage
 from logs.protos import descriptor_set
 from logs.schemas import CHANNELS, encode, topic_of
 from slam.errors import ViewError
@@ -27,7 +27,7 @@ from slam.trajectory import compose
 PORT = 8765  # where Foxglove looks by itself
 
 _MOST_WAITING = 2000  # messages; older ones are dropped
-_BACKLOG = 256  # of one client
+_BACKLOG = 1024  # messages of one client
 _POLL_S = 0.02
 _FRAMES_S = 0.5  # between two transforms for those who came late
 _MAP_S = 3.0  # between two maps at least, and ten times as long as one takes
@@ -92,6 +92,10 @@ class FoxgloveServer:
             if len(records) > self._seen[k]:
                 self._waiting.extend(records[self._seen[k] :])
                 self._seen[k] = len(records)
+
+    def put_note(self, message: StatusMessage) -> None:
+        """Queue a message about a device."""
+        self._waiting.append(message)
 
     def close(self) -> None:
         """Send what waits, and end."""

@@ -24,7 +24,7 @@ from slam.live.frames import Feed
 from slam.live.guard import Guard
 from slam.live.snapshot import View
 
-PERIOD_S = 0.1
+PERIOD_S = 0.05  # between two looks for a newer view; those come ten times a second
 MOST_PAGES = 12
 _SEND_S = 10.0  # a page that takes nothing for so long is given up
 _START_S = 10.0
@@ -96,7 +96,7 @@ class LiveServer:
             self.port = next(iter(self._server.sockets)).getsockname()[1]
             self._ready.set()
             await self._end.wait()
-            await asyncio.sleep(2 * PERIOD_S)
+            await asyncio.sleep(4 * PERIOD_S)
 
     async def _feed(self, connection: ServerConnection) -> None:
         feed, shown = Feed(), None

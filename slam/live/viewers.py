@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
-from logs.messages import Message
+from logs.messages import Message, StatusMessage
 from slam.errors import ViewError
 from slam.live.guard import is_local
 from slam.live.snapshot import View, take, take_result
@@ -49,6 +49,10 @@ class Stream(Protocol):
         """Take a message and what has become of it; returns at once."""
         ...
 
+    def put_note(self, message: StatusMessage) -> None:
+        """Take a message about a device; returns at once."""
+        ...
+
 
 class Viewers:
     """A `Watcher` that takes a snapshot ten times a second and leaves it where servers find it."""
@@ -74,6 +78,11 @@ class Viewers:
     def tell(self, status: Status) -> None:
         """Take the state of the devices."""
         self._put(View(self._view.stage, self._view.snapshot, status))
+
+    def note(self, message: StatusMessage) -> None:
+        """Take what is written into the log about a device."""
+        for stream in self.streams:
+            stream.put_note(message)
 
     def stage(self, name: str) -> None:
         """Take the name of what is being done."""

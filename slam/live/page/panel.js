@@ -71,7 +71,7 @@ export class Panel {
     byId("astray").hidden = !astray;
     say("keyframes", String(keyframes));
     say("t_pe", number(decision.t_pe, 2));
-    say("interval", number(decision.interval, 2, ` ${decision.unit}`));
+    say("interval", number(decision.interval, 2, decision.unit === "metres" ? " m" : ` ${decision.unit}`));
     say("reason", decision.axis ? `${decision.reason} (${decision.axis})` : decision.reason);
   }
 
