@@ -22,10 +22,11 @@ test: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
 
-# Optional: looks for inputs that break the parsers of what devices send.
+# Optional: looks for inputs that break the parsers of what devices send, and the log reader.
 fuzz: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[fuzz]'
 	$(BIN)/python tests/drivers/fuzz_parsers.py -max_total_time=120 -max_len=4096
+	$(BIN)/python tests/logs/fuzz_reader.py -max_total_time=120 -max_len=512
 
 lint: $(READY)
 	$(BIN)/ruff check .
