@@ -33,7 +33,8 @@ MANY = 0.3  # of the pairs: then it is not an accident
 
 _GOOD_QUALITY, _GOOD_EXPLAINED = 0.6, 0.7
 _SEES_M = 0.02  # sigma along the axis that the scans see worst
-_MARGIN = 1.05  # by how much another start must explain more
+_RIVAL = 0.85  # of the best quality: as good an answer, if it is another one
+_SAME_M, _SAME_RAD = 0.05, 0.03  # within these it is the same answer
 _MATCHER = MatchConfig()
 _MATCH_VARIANCE = np.diag([0.01, 0.01, 0.005]) ** 2  # m, m, rad: also of stamps and moving things
 _NO_MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
@@ -93,16 +94,23 @@ class _Matcher:
         # What the wheels say, nothing, and the opposite: each has a start that would be right.
         starts = (by_wheels, Pose2(), by_wheels.inverse())
         results = [match([Reference(Pose2(), first)], second, start, _MATCHER) for start in starts]
-        best = results[0]
-        for result in results[1:]:
-            if result.converged and result.quality > _MARGIN * best.quality * best.converged:
-                best = result
-        return _Judged(pair, best.target_T_source) if _sure(best) else None
+        best = max(results, key=lambda result: result.quality * result.converged)
+        if not _sure(best) or any(_rivals(best, result) for result in results):
+            return None
+        return _Judged(pair, best.target_T_source)
 
     def _prepared(self, scan: LaserScan) -> PreparedScan:
         if self._last is None or self._last[0] is not scan:
             self._last = scan, prepare(scan, _NO_MOUNT, ScanConfig())
         return self._last[1]
+
+
+def _rivals(best: MatchResult, other: MatchResult) -> bool:
+    """Whether another start ends elsewhere and explains the scan about as well."""
+    if not other.converged or other.quality < _RIVAL * best.quality:
+        return False
+    apart = best.target_T_source.between(other.target_T_source)
+    return max(abs(apart.x()), abs(apart.y())) > _SAME_M or abs(apart.theta()) > _SAME_RAD
 
 
 def _sure(result: MatchResult) -> bool:
