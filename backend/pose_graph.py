@@ -34,6 +34,23 @@ class PoseGraph:
         self._poses = np.array([[map_T_first.x(), map_T_first.y(), map_T_first.theta()]])
         self._count = 1
 
+    @classmethod
+    def restored(cls, poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> PoseGraph:
+        """The graph of a finished run, at its poses (n, 3).
+
+        Raises:
+            GraphError: an edge names a keyframe that does not exist.
+        """
+        graph = cls(Pose2(*poses[0]), config)
+        values = gtsam.Values()
+        for k in range(1, len(poses)):
+            values.insert(X(k), Pose2(*poses[k]))
+        graph._poses, graph._count = poses.copy(), len(poses)
+        graph._check(edges)
+        graph._update(edges, values)
+        graph._refresh(graph._isam.calculateEstimate())
+        return graph
+
     def __len__(self) -> int:
         return self._count
 
@@ -137,6 +154,11 @@ class PoseGraph:
         self.loop_weights = result.loop_weights
         self._poses[: self._count] = result.poses
         return self.poses.copy()
+
+    def _check(self, edges: Sequence[Edge]) -> None:
+        for edge in edges:
+            if not (0 <= edge.i < self._count and 0 <= edge.j < self._count and edge.i != edge.j):
+                raise GraphError(f"edge {edge.i}-{edge.j}: no such pair of keyframes")
 
     def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> int:
         """Give ISAM2 edges and new poses; how many poses it linearised anew."""

@@ -122,6 +122,16 @@ def replay(
     rate: Annotated[
         float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as it goes.")
     ] = 0.0,
+    resume: Annotated[
+        Path | None, typer.Option(help="RUN whose map to go on with.", readable=False)
+    ] = None,
+    start: Annotated[
+        str,
+        typer.Option(
+            help="With --resume, where in that map the log starts: `end` or x,y,theta in m and "
+            "rad; searched for if not given."
+        ),
+    ] = "",
     view: Annotated[
         bool, typer.Option("--view", help="Serve a page that shows the map grow.")
     ] = False,
@@ -135,12 +145,16 @@ def replay(
     from slam.live.viewers import ViewOptions, watched
     from slam.progress import stage_progress
     from slam.replay import replay as run_replay
+    from slam.resume import read_past
 
+    if start and resume is None:
+        raise typer.BadParameter("--start says where in the map of --resume RUN the log starts")
     settings = load_config(config, set_ or [])
+    past = read_past(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
     with watched(options, _say) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
-        summary = run_replay(log, out, settings, progress, raw, rate, viewers)
+        summary = run_replay(log, out, settings, progress, raw, rate, viewers, past)
     _tell_summary(out, summary)
     _exit_on_loss(summary["lost"], "lost")
 

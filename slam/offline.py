@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from gtsam import Pose2
@@ -25,6 +26,7 @@ from logs.messages import (
 from slam.config import SlamConfig
 from slam.localise import ScanLocaliser, refine_edges, warp
 from slam.occupancy import build_map
+from slam.past import Past
 from slam.pipeline import Slam
 from slam.stopwatch import NoWatch
 from slam.trajectory import Trajectory, compose
@@ -62,6 +64,7 @@ def run_offline(
     watch: NoWatch | None = None,
     progress: Progress | None = None,
     step: Callable[[Slam, Message], None] = Slam.step,
+    past: Past | None = None,
 ) -> Result:
     """Run SLAM over a source of messages, which is read twice.
 
@@ -71,13 +74,18 @@ def run_offline(
         watch: measures where the time goes.
         progress: told the stage and the number of messages or scans done.
         step: how a message is handed to the pipeline; replaced to time it.
+        past: a run to go on with; its map becomes part of this one.
 
     Raises:
-        SlamError: the log holds no usable scan, or no odometry.
+        SlamError: the log holds no usable scan, or no odometry, or its place in the past is not
+            found.
     """
     watch, tell = watch or NoWatch(), progress or (lambda stage, done: None)
     slam = Slam(config, watch)
     truth: list[TruePose] = []
+    if past is not None:
+        slam.resume(past)
+        truth += past.truth
     has_odometry = False
     for count, message in enumerate(_timed(source(), watch)):
         if not feed(slam, message, step):
@@ -91,7 +99,15 @@ def run_offline(
         raise SlamError(
             f"no usable odometry among {count + 1} messages: record the robot's wheels (/odom) too"
         )
-    return finish(slam, source, truth, watch, tell)
+    if past is None:
+        return finish(slam, source, truth, watch, tell)
+    if slam.lost_in_the_past:
+        raise SlamError(
+            "the robot was not found in the map to go on with, or it looks alike elsewhere: "
+            "say where it starts, --start end or --start x,y,theta" + _left_out(slam)
+        )
+    before = [k.scan for k in past.keyframes]
+    return finish(slam, lambda: chain(before, source()), truth, watch, tell)
 
 
 def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = Slam.step) -> bool:
@@ -111,8 +127,7 @@ def finish(
         seen = len(slam.scan_stamps_ns)
         raise SlamError(
             f"no usable scan among {seen}: the log must hold scans with at least "
-            f"{slam.config.matcher.min_pairs} returns each"
-            + "".join(f"; left out: {n} {cause}" for cause, n in sorted(slam.lost.items()))
+            f"{slam.config.matcher.min_pairs} returns each" + _left_out(slam)
         )
     config, graph = slam.config, slam.graph
     with watch("optimising"):
@@ -150,6 +165,10 @@ def finish(
         slam.lost,
         slam.matches + matches,
     )
+
+
+def _left_out(slam: Slam) -> str:
+    return "".join(f"; left out: {n} {cause}" for cause, n in sorted(slam.lost.items()))
 
 
 def settle(slam: Slam) -> None:

@@ -34,6 +34,7 @@ from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
 from slam.odometry import OdometryBuffer
 from slam.odometry_faults import LieDetector, Step
+from slam.past import Past, locate
 from slam.stopwatch import NoWatch
 from slam.tracking import Tracked, track
 
@@ -96,6 +97,25 @@ class Slam:
         self._kept: _Sighting | None = None  # the last keyframe's
         self._between: list[_Sighting] = []  # scans since then
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
+        self._past: Past | None = None
+        self._sought_m: float | None = None  # way at which the place in the past was last sought
+
+    def resume(self, past: Past) -> None:
+        """Go on with a map made before; called before the first message."""
+        self._past = past
+        self.mount = past.mount
+        self.keyframes = list(past.keyframes)
+        self.scan_stamps_ns = [k.scan.stamp_ns for k in past.keyframes]
+        self.odom_poses = [
+            (k.odom_T_base.x(), k.odom_T_base.y(), k.odom_T_base.theta()) for k in past.keyframes
+        ]
+        self.factors, self.decisions = list(past.factors), list(past.decisions)
+        self.graph = PoseGraph.restored(past.poses, past.edges, self.config.graph)
+
+    @property
+    def lost_in_the_past(self) -> bool:
+        """The robot goes on with a map made before, and was not found in it."""
+        return self._past is not None and self._kept is None
 
     def step(self, message: Message) -> None:
         """Take in one message, in the order of the log."""
@@ -157,6 +177,10 @@ class Slam:
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
         self._latest = sighting
         self._consider(sighting)
+        if self.lost_in_the_past:  # nothing says where it was taken
+            self.scan_stamps_ns.pop()
+            self.odom_poses.pop()
+            self.lost["scan before the robot was found in the map"] += 1
 
     def _sight(self, scan: LaserScan, odom_T_base: Pose2) -> _Sighting:
         index = len(self.scan_stamps_ns)
@@ -178,8 +202,12 @@ class Slam:
             self._close_loops()
         if self._kept is None:
             prepared = prepare(sighting.scan, self.mount, self.config.scan)
-            if prepared.valid >= self.config.matcher.min_pairs:
+            if prepared.valid < self.config.matcher.min_pairs:
+                return
+            if self._past is None:
                 self._begin(sighting, prepared)
+            else:
+                self._go_on(sighting, prepared, self._past)
             return
         moved = self._kept.odom_T_base.between(sighting.odom_T_base)
         seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
@@ -210,6 +238,24 @@ class Slam:
 
     def _foreseen_from(self) -> PreparedScan:
         return self.keyframes[-1].prepared
+
+    def _go_on(self, sighting: _Sighting, prepared: PreparedScan, past: Past) -> None:
+        """Tie the first keyframe to the map made before, once its place there is found."""
+        assert self.graph is not None
+        due = self._sought_m is None or sighting.path_m - self._sought_m > self.config.loops.every_m
+        if not due:
+            return
+        self._sought_m = sighting.path_m
+        edge = locate(prepared, self.keyframes, self.graph, past.start, self.config)
+        if edge is None:
+            return
+        self.graph.add_keyframe(self.graph.pose(edge.i) * edge.i_T_j, [edge])
+        self._unbroken = edge.j
+        self.record_edge(sighting.scan.stamp_ns, edge, True, "found in the map made before")
+        self._record_decision(sighting.scan, sighting.index, "resumed", Pose2(), None)
+        # As far on as makes the whole old map old enough for loops.
+        self._keep(sighting, prepared, self.config.loops.min_path_m)
+        self._record_estimate(sighting.scan.stamp_ns, False)
 
     def _begin(self, sighting: _Sighting, prepared: PreparedScan) -> None:
         self.graph = PoseGraph(Pose2(), self.config.graph)

@@ -19,6 +19,7 @@ from logs.parts import Recording
 from slam.config import SlamConfig
 from slam.offline import Progress, Result, run_offline
 from slam.pacing import paced
+from slam.past import Past
 from slam.pipeline import Slam
 from slam.raw_source import messages_from_raw
 from slam.run_directory import new_run, version, write_results, write_summary
@@ -50,6 +51,7 @@ def replay(
     from_raw: bool = False,
     rate: float = 0.0,
     watcher: Watcher | None = None,
+    past: Past | None = None,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
 
@@ -57,7 +59,8 @@ def replay(
 
     With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
     of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
-    the results are the same, and so they are with a `watcher`.
+    the results are the same, and so they are with a `watcher`.  With a `past`, its map is gone on
+    with and becomes part of the new run.
 
     Raises:
         LogError: the log cannot be read.
@@ -78,7 +81,7 @@ def replay(
     recording = Recording(log)
     source_sha256 = file_sha256(*recording.files)
     with new_run(out) as partial:
-        result, timing = timed_run(source, config, progress, watcher)
+        result, timing = timed_run(source, config, progress, watcher, past)
         identity = {
             "source": log.name, "source_sha256": source_sha256, "version": version(),
             "config_sha256": config.sha256(), "host": platform.node(),
@@ -89,6 +92,8 @@ def replay(
         timing["stages_s"]["writing"] = round(time.perf_counter() - begin, 3)
         result.lost.update(skipped)
         summary = summarise(result, log.name, timing, config)
+        if past is not None:
+            summary["resumed_keyframes"] = len(past.keyframes)
         summary |= {"log_sha256": source_sha256, "host": platform.node()}
         write_summary(partial, summary)
     return summary
@@ -99,6 +104,7 @@ def timed_run(
     config: SlamConfig,
     progress: Progress | None,
     watcher: Watcher | None = None,
+    past: Past | None = None,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
     watch, step, looker = Stopwatch(), TimedStep(), watcher or Nobody()
@@ -113,7 +119,7 @@ def timed_run(
         looker.show(slam, message)
 
     wall, cpu = time.perf_counter(), time.process_time()
-    result = run_offline(source, config, watch, told, shown)
+    result = run_offline(source, config, watch, told, shown, past)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     looker.finish(result)
     stamps = result.trajectory.stamps_ns
