@@ -221,6 +221,8 @@ def _warn_of_overlap(
             f"no pose of the run has a true one at its time: the truth starts {gap:+.1f} s after "
             f"the run and lasts {truth.seconds()[-1]:.1f} s, the run {run.seconds()[-1]:.1f} s"
         )
+    elif len(pairs) == 1 and len(truth) > 1:
+        warnings.append("only one pose has a true one: nothing to align it with")
     elif len(truth) > 20:
         inside = (run.stamps_ns >= truth.stamps_ns[0]) & (run.stamps_ns <= truth.stamps_ns[-1])
         share = float(np.mean(inside))
@@ -257,7 +259,9 @@ def _pose_errors(trajectory: Trajectory, pairs: Association) -> PoseErrors:
 
 
 def _trajectory_figures(pairs: Association, run: Trajectory, survey: bool) -> dict[str, Any]:
-    start = run.poses[0] if survey and len(pairs) == 1 else None
+    if len(pairs) == 1 and not survey:
+        return {"pairs": 1}  # aligned to itself it would seem to have no error
+    start = run.poses[0] if len(pairs) == 1 else None
     figures: dict[str, Any] = {"pairs": len(pairs)} | _final_pose(pairs, start)
     if len(pairs) == 1:
         return figures  # one pose is aligned to nothing, so it has no absolute error

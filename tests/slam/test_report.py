@@ -314,6 +314,8 @@ def test_one_pose_is_reported(tmp_path, truth):
     (report,) = write_report([run], tmp_path / "truth.tum", tmp_path / "r.html")
     checked_json(tmp_path / "r.json")
     assert report.figures["pairs"] == 1
+    assert report.figures["final_pose_error_m"] is None
+    assert any("only one pose" in warning for warning in report.warnings)
     assert report.figures["ate_rmse_m"] is None
 
 

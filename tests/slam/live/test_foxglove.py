@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 from logs.messages import DeviceHealth, LaserMount, LogLine
 from logs.schemas import CHANNELS, decode
 from slam.config import SlamConfig
+from slam.errors import ViewError
 from slam.live.foxglove import FoxgloveServer
 from slam.live.viewers import Viewers
 from slam.pipeline import Slam
@@ -87,3 +88,8 @@ def test_a_client_gets_the_topics_of_the_log_with_their_schemas(drive, server):
     stamp_ns, payload = client.got["/scan"][0]
     assert decode("/scan", stamp_ns, payload).stamp_ns == stamp_ns
     assert (decode("/map", *client.got["/map"][-1]).cells >= 0).any()
+
+
+def test_a_port_that_is_taken_is_one_clear_line(server):
+    with pytest.raises(ViewError, match=f"{server.port}: no Foxglove server"):
+        FoxgloveServer(server.port).start()
