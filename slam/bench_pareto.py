@@ -19,7 +19,15 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from slam.bench_pareto_drives import LONGEST_M, WORLDS, Outcome, Setting, outcomes_of, settings
+from slam.bench_pareto_drives import (
+    LONGEST_M,
+    WORLDS,
+    Outcome,
+    Setting,
+    outcomes_of,
+    settings,
+    warm_up,
+)
 from slam.bench_pareto_figures import draw_pareto
 from slam.bench_pareto_logs import bench_logs
 
@@ -68,7 +76,7 @@ def _drive_all(seeds: int) -> Outcomes:
     workers = min(WORKERS, os.cpu_count() or 1)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("drives", total=seeds * len(WORLDS))
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(workers, get_context("spawn"), warm_up) as pool:
             waiting = {
                 pool.submit(outcomes_of, world, seed, compared): (world, seed)
                 for seed in range(FIRST_SEED, FIRST_SEED + seeds)

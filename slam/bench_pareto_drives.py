@@ -15,7 +15,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from drivers.simulators.drive import simulate
+from drivers.simulators.drive import EPOCH_NS, simulate
 from drivers.simulators.worlds import scenario
 from frontend.keyframes import KeyframeConfig
 from frontend.scan import PreparedScan, prepare
@@ -28,6 +28,7 @@ from slam.trajectory import Trajectory
 
 WORLDS = ("testbed", "plain-corridor", "office", "clutter", "mixed")
 LONGEST_M = 30.0  # a drive ends here, so that no world outweighs the others in time
+WARM_UP_NS = 8_000_000_000  # of a drive
 LOCALISED = 5  # every so manieth scan is localised and judged
 
 CONSTANT_M = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1, 1.5, 2.0, 3.0)
@@ -116,6 +117,13 @@ def messages_of(world: str, seed: int) -> list[SensorMessage]:
             last = message
         kept.append(message)
     return kept
+
+
+def warm_up() -> None:
+    """Run a short drive under every setting, so that no drive that is timed compiles kernels."""
+    begun = [m for m in messages_of("testbed", 0) if m.stamp_ns < EPOCH_NS + WARM_UP_NS]
+    for setting in settings():
+        outcome_of(begun, setting)
 
 
 def outcomes_of(world: str, seed: int, compared: Sequence[Setting]) -> list[Outcome]:

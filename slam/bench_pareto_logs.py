@@ -40,7 +40,7 @@ MORE: dict[str, dict[str, Any]] = {
 }
 CELL_M = 0.05
 REVISIT_M = 1.5  # keyframes as near as this, by the estimate, may look at one place
-NEW_SHARE, OLD_SHARE = 0.9, 0.25  # of the path: where the end and the beginning of a drive lie
+APART_M = 6.0  # of path between two visits of a place
 
 
 def bench_logs(data: Path, say: Say) -> list[dict[str, Any]]:
@@ -113,29 +113,33 @@ def unsurveyed(messages: Sequence[Message], choice: dict[str, Any]) -> dict[str,
     }
 
 
-def loop_residual(slam: Slam) -> tuple[float, float, int]:
-    """By how much the chain is off where the end of a drive meets its beginning.
+def loop_residual(slam: Slam) -> tuple[float | None, float | None, int]:
+    """By how much the chain is off where a drive comes back to a place.
+
+    Each keyframe is matched against the nearest of those that lie APART_M of path or more back.
 
     Returns:
-        The median distance (m) and turn (deg) between the chain and a match of the two places,
-        nan if they never meet, and the number of such pairs.
+        The median distance (m) and turn (deg) between the chain and these matches, None if no
+        place is seen again, and the number of matches.
     """
     assert slam.graph is not None
     poses = slam.graph.poses
-    path = np.array([k.travelled_m for k in slam.keyframes]) / slam.keyframes[-1].travelled_m
+    travelled = np.array([k.travelled_m for k in slam.keyframes])
     rests = []
-    for new in np.flatnonzero(path >= NEW_SHARE).tolist():
-        for old in np.flatnonzero(path <= OLD_SHARE).tolist():
-            if np.hypot(*(poses[new, :2] - poses[old, :2])) > REVISIT_M:
-                continue
-            guess = slam.graph.pose(old).between(slam.graph.pose(new))
-            reference = Reference(Pose2(), slam.keyframes[old].prepared)
-            found = match([reference], slam.keyframes[new].prepared, guess, slam.config.matcher)
-            if found.converged and found.quality >= slam.config.matcher.good_quality:
-                rest = guess.between(found.target_T_source)
-                rests.append((float(np.hypot(rest.x(), rest.y())), abs(np.degrees(rest.theta()))))
+    for new in range(len(poses)):
+        old = np.flatnonzero(travelled <= travelled[new] - APART_M)
+        distances = np.hypot(*(poses[old, :2] - poses[new, :2]).T)
+        if len(old) == 0 or distances.min() > REVISIT_M:
+            continue
+        nearest = int(old[distances.argmin()])
+        guess = slam.graph.pose(nearest).between(slam.graph.pose(new))
+        reference = Reference(Pose2(), slam.keyframes[nearest].prepared)
+        found = match([reference], slam.keyframes[new].prepared, guess, slam.config.matcher)
+        if found.converged and found.quality >= slam.config.matcher.good_quality:
+            rest = guess.between(found.target_T_source)
+            rests.append((float(np.hypot(rest.x(), rest.y())), abs(np.degrees(rest.theta()))))
     if not rests:
-        return float("nan"), float("nan"), 0
+        return None, None, 0
     trans, rot = np.median(rests, axis=0).tolist()
     return trans, rot, len(rests)
 
