@@ -90,9 +90,10 @@ def best_distance(
     With P(d) the trace of a match's covariance (the heading counts by r^2, r the median distance
     of what is seen, so that the sum is the square shift of a point): a keyframe that is matched
     against several at once hangs, on average, on one D(d) metres back, each of them weighing by
-    what it knows.  Such a chain grows by P d / D^2 a metre.  The share of P that range noise does
-    not explain comes from the shape of what is seen.  It is the same for as long as that is in
-    view, about r metres, and adds `share` P r / D^2: the error that every match has of its own.
+    what it knows.  Such a chain grows by P d / D^2 a metre.  Of the part of P that comes from the
+    scans, S, the share that range noise does not explain comes from the shape of what is seen.  It
+    is the same for as long as that is in view, about r metres, and adds `share` S r / D^2: the
+    error that every match has of its own.
 
     Args:
         scan: the keyframe.
@@ -101,12 +102,15 @@ def best_distance(
         longest: m, the greatest.
         outlook: the rest.
     """
-    distances, covariances = _covariances(scan, direction, shortest, longest, outlook)
+    distances, covariances, own = _covariances(scan, direction, shortest, longest, outlook)
     seen = scan.ranges[(scan.flags & VALID) > 0]
     reach = float(np.median(seen)) if len(seen) else 0.0
-    shares = np.diagonal(covariances, axis1=1, axis2=2) * np.array([1.0, 1.0, reach**2])
+    lever = np.array([1.0, 1.0, reach**2])
+    shares = np.diagonal(covariances, axis1=1, axis2=2) * lever
+    lasting = (1.0 - 1.0 / outlook.correlation) * reach
+    fixed = lasting * (np.diagonal(own, axis1=1, axis2=2) @ lever)
     candidates = np.geomspace(shortest, longest, _count(shortest, longest, FINER * PER_OCTAVE))
-    cost = _per_metre(candidates, distances, shares.sum(axis=1), reach, outlook)
+    cost = _per_metre(candidates, distances, shares.sum(axis=1), fixed, outlook.references)
     chosen = float(candidates[np.flatnonzero(cost <= AS_GOOD * cost.min())[-1]])
     nearest = int(np.argmin(np.abs(np.log(distances / chosen))))
     sx, sy, st = np.sqrt(np.diag(covariances[nearest])).tolist()
@@ -115,13 +119,17 @@ def best_distance(
 
 def _covariances(
     scan: PreparedScan, direction: float, shortest: float, longest: float, outlook: Outlook
-) -> tuple[Array, Array]:
-    """Distances (k,) out to the farthest reference, and the (k, 3, 3) covariances after them."""
+) -> tuple[Array, Array, Array]:
+    """Distances (k,) to the farthest reference, and what matches after them know.
+
+    The (k, 3, 3) covariances, and the part of each that comes from the scans, not the odometry.
+    """
     farthest = outlook.references * longest
     distances = np.geomspace(shortest, farthest, _count(shortest, farthest, PER_OCTAVE))
     known, _ = informations(scan, _ahead(distances, direction), outlook)
-    known += np.linalg.inv(np.array([outlook.odometry(float(d)) for d in distances]))
-    return distances, np.asarray(np.linalg.inv(known), np.float64)
+    odometry = np.linalg.inv(np.array([outlook.odometry(float(d)) for d in distances]))
+    covariances = np.asarray(np.linalg.inv(known + odometry), np.float64)
+    return distances, covariances, covariances @ known @ covariances
 
 
 def _ahead(distances: Array, direction: float) -> Array:
@@ -136,12 +144,12 @@ def _count(low: float, high: float, per_octave: int) -> int:
 
 
 def _per_metre(
-    candidates: Array, distances: Array, variances: Array, reach: float, outlook: Outlook
+    candidates: Array, distances: Array, variances: Array, fixed: Array, references: int
 ) -> Array:
     """Variance (m^2 a metre) that chained matches add at each candidate distance."""
-    at = np.log(candidates)[:, None] + np.log(np.arange(1, outlook.references + 1))
+    at = np.log(candidates)[:, None] + np.log(np.arange(1, references + 1))
     variance = np.exp(np.interp(at, np.log(distances), np.log(variances)))  # (candidates, refs)
     back = np.sum(np.exp(at) / variance, axis=1) / np.sum(1.0 / variance, axis=1)
-    lasting = (1.0 - 1.0 / outlook.correlation) * reach
-    grown: Array = variance[:, 0] * (candidates + lasting) / back**2
+    every = np.interp(np.log(candidates), np.log(distances), fixed)
+    grown: Array = (variance[:, 0] * candidates + every) / back**2
     return grown
