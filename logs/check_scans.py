@@ -67,7 +67,7 @@ class ScanCheck:
         finite = np.isfinite(ranges)
         self._beams += ranges.size
         self._nan += int(np.count_nonzero(np.isnan(ranges)))
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):  # limits beyond what ranges can hold
             self._far += int(np.count_nonzero(finite & (ranges > scan.range_max)))
             self._near += int(np.count_nonzero((ranges < scan.range_min) | (ranges <= 0)))
         if not _sees(scan):

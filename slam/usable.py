@@ -6,6 +6,7 @@ import math
 
 from logs.messages import LaserMount, LaserScan, Message, WheelOdometry
 
+_FINEST_RAD = 1e-6  # from beam to beam; the finest lasers have 1e-3
 _WIDEST_RAD = 2.1 * math.pi  # a full turn, and some rounding
 
 
@@ -21,7 +22,7 @@ def flaw(message: Message) -> str:
     if isinstance(message, LaserScan):
         span = message.angle_step * max(len(message.ranges) - 1, 0)
         known = _finite(message.angle_min, span) and not math.isnan(message.range_max)
-        if not known or message.angle_step == 0 or abs(span) > _WIDEST_RAD:
+        if not known or abs(message.angle_step) < _FINEST_RAD or abs(span) > _WIDEST_RAD:
             return "scan whose beams have no possible direction"
     return ""
 

@@ -145,6 +145,10 @@ def test_ranges():
     assert with_ranges(nan) == {"ranges-nan": ("warning", 6000)}
 
 
+def test_limits_beyond_all_numbers():
+    assert codes([*drive(), scan(START + 10 * S, range_max=1e300, range_min=-1e300)]) == {}
+
+
 def test_a_laser_that_is_stuck():
     messages = drive()
     stuck = messages[2].ranges

@@ -107,6 +107,20 @@ def test_what_cannot_be_judged_is_not_judged(sound):
         assert findings(messages) == {}
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"angle_step": 1e-9}, {"angle_step": -1e-300}, {"angle_min": 1e300}, {"angle_min": -50.0},
+        {"range_max": 1e300}, {"range_min": 1e300}, {"range_max": -1.0},
+        {"ranges": np.full(181, 1e38, dtype=np.float32)}, {"ranges": np.zeros(1, dtype=np.float32)},
+        {"ranges": np.full(181, 1e-30, dtype=np.float32)},
+    ],
+)  # fmt: skip
+def test_scans_that_no_laser_takes_end_in_no_fault(sound, change):
+    hostile = [replace(m, **change) if isinstance(m, LaserScan) else m for m in sound[:400]]
+    assert findings(hostile).keys() <= {"mount-yaw"}
+
+
 def test_a_long_log_costs_no_more_than_a_short_one():
     collector = PairCollector(most_moving=8, most_still=2)
     ranges = np.ones(5, dtype=np.float32)

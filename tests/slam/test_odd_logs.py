@@ -98,3 +98,13 @@ def test_two_mounts(drive, played):
     _, track, codes = played([*drive[:50], mounts[20], *drive[50:]])
     assert len(track) == SCANS
     assert codes["mount-changes"] == "error"
+
+
+@pytest.mark.parametrize("step", [1e-300, -1e-12, 0.0])
+def test_a_scan_whose_beams_lie_on_each_other_is_left_out(drive, played, step):
+    odd = [replace(m, angle_step=step) if k in (30, 33, 36) and isinstance(m, LaserScan) else m
+           for k, m in enumerate(drive)]  # fmt: skip
+    summary, track, _ = played(odd)
+    lost = SCANS - len(track)
+    assert 0 < lost <= 3
+    assert summary["lost"] == {"scan whose beams have no possible direction": lost}
