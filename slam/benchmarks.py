@@ -162,13 +162,17 @@ def _measure(
         from slam.bench_paper import bench_paper
 
         return bench_paper(out, quick, say)
+    if name == "weights":
+        from slam.bench_weights import bench_weights
+
+        return bench_weights(quick, say)
     if name == "pareto":
         from slam.bench_pareto import bench_pareto
 
         return bench_pareto(out, data, quick, say)
     known = (
         "benchmark", "batch", "buildings", "growth", "matcher", "memory", "outliers",
-        "online", "online-faults", "log", "paper", "pareto", "view",
+        "online", "online-faults", "log", "paper", "pareto", "view", "weights",
     )  # fmt: skip
     raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
 

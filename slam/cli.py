@@ -288,7 +288,7 @@ def bench(
         str,
         typer.Argument(
             help="benchmark, batch, buildings, growth, matcher, memory, outliers, online, "
-            "online-faults, log, paper, pareto, view"
+            "online-faults, log, paper, pareto, view, weights"
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
