@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
@@ -29,8 +29,11 @@ def _matches(address: str) -> list[str]:
         return [address]
     if "://" not in address:
         return glob.glob(address, recursive=True)
-    system, pattern = url_to_fs(address)
-    return [system.unstrip_protocol(path) for path in system.glob(pattern)]
+    # What can go wrong depends on the file system; the row of the pattern will say it.
+    with suppress(Exception):
+        system, pattern = url_to_fs(address)
+        return [system.unstrip_protocol(path) for path in system.glob(pattern)]
+    return []
 
 
 def absolute(address: str) -> str:
