@@ -49,7 +49,7 @@ def take(slam: Slam) -> Snapshot | None:
         poses=slam.graph.poses.copy(),
         decisions=tuple(slam.decisions),
         verdicts=tuple(slam.loops.verdicts),
-        scan=slam.latest_scan,
+        scan=None if slam.lost_in_the_past else slam.latest_scan,
         pose=(pose.x(), pose.y(), pose.theta()),
         covariance=estimate.covariance if estimate else (),
         lost=estimate.lost if estimate else False,
