@@ -9,6 +9,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -35,6 +36,7 @@ def draw_pareto(rows: Rows, path: Path) -> None:
             axes = grid[down][across]
             _draw(axes, chosen, key)
             axes.set(xscale="log", yscale="log", xlabel=label, title="" if down else world)
+            _tick(axes)
         grid[0][across].sharey(grid[1][across])
     for down in range(len(SCALES)):
         grid[down][0].set_ylabel("ATE [cm]")
@@ -55,3 +57,11 @@ def _draw(axes: Axes, rows: Rows, key: str) -> None:
             linewidth=0.8, linestyle="-" if method == "constant" else "", label=method,
         )  # fmt: skip
     axes.grid(True, which="both", alpha=0.25)
+
+
+def _tick(axes: Axes) -> None:
+    """Plain numbers at 1, 2 and 5: most panels span less than a decade."""
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())

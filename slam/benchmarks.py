@@ -52,7 +52,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     },
     "pareto": {
         "world": "world", "method": "method", "setting": "setting",
-        "matches_median": "matches", "ate_m_median": "ATE m", "ate_m_ci95": "95 %",
+        "matches_median": "matches", "ate_m_median": "ATE m",
         "cpu_ms_median": "cpu ms",
     },
     "outliers": {
@@ -188,6 +188,4 @@ def table(name: str, rows: list[dict[str, Any]]) -> Table:
 
 
 def _cell(value: Any) -> str:
-    if isinstance(value, list):
-        return " to ".join(map(_cell, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)

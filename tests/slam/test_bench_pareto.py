@@ -1,0 +1,52 @@
+"""The interval benchmark: its drives, its yardstick and its figure."""
+
+import numpy as np
+import pytest
+
+from drivers.simulators.drive import EPOCH_NS
+from slam.bench_pareto import judged, row
+from slam.bench_pareto_drives import Outcome, messages_of, outcome_of, settings
+from slam.bench_pareto_figures import STYLES, draw_pareto
+
+SETTINGS = settings()
+
+
+def outcomes(setting, error):
+    """Five drives with errors about `error` (m), and fewer matches the longer the interval."""
+    matches = {"constant": round(30 / setting.keyframes.interval), "information": 40}
+    count = matches.get(setting.method, 100)
+    return [Outcome(count, count + 1, error + 0.001 * k, error, 10.0) for k in range(-2, 3)]
+
+
+def made_up():
+    """A world whose best constant interval is 0.6 m, and where information is a little better."""
+    errors = {s: 0.10 + abs(np.log(s.keyframes.interval / 0.6)) for s in SETTINGS}
+    errors |= {s: 0.095 for s in SETTINGS if s.method == "information"}
+    return {s: outcomes(s, errors[s]) for s in SETTINGS}
+
+
+def test_the_yardstick_is_the_best_constant_interval_of_the_world():
+    verdict = next(v for v in judged("here", made_up()) if v["method"] == "information")
+    assert verdict["best_constant"] == "0.6 m"
+    assert verdict["error_ratio"] == pytest.approx(0.95)
+    assert verdict["matches_ratio"] == pytest.approx(0.8)
+    low, high = verdict["error_ratio_ci95"]
+    assert low <= verdict["error_ratio"] <= high < 1.05
+
+
+def test_rows_hold_what_they_promise_and_the_figure_shows_every_method(tmp_path):
+    rows = [row("here", setting, found) for setting, found in made_up().items()]
+    promised = {"world", "method", "setting", "matches_median", "ate_m_median", "ate_m_ci95"}
+    assert all(promised | {"cpu_ms_median"} <= set(r) for r in rows)
+    assert {r["method"] for r in rows} == set(STYLES)
+    draw_pareto(rows, tmp_path / "pareto.png")
+    assert (tmp_path / "pareto.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_drive_is_the_same_for_every_setting_and_each_time():
+    begun = [m for m in messages_of("testbed", 3) if m.stamp_ns < EPOCH_NS + 8_000_000_000]
+    chosen = [s for s in SETTINGS if s.method in ("information", "information-permuted")]
+    for setting in chosen:
+        first, again = (outcome_of(begun, setting) for _ in range(2))
+        assert (first.matches, first.ate_m) == (again.matches, again.ate_m)
+        assert 0.0 < first.ate_m < 0.05
