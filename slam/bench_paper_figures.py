@@ -83,6 +83,7 @@ def draw_comparison(rows: Rows, reading: str, path: Path) -> None:
                 for name in INTERVALS
             ],
         )
+        axes.tick_params(axis="x", labelsize=9 if axes is errors else 7)
         axes.grid(axis="y", alpha=0.3)
     for name, colour in COLOURS.items():
         for filled, word in (("white", ""), (colour, ", odometry")):

@@ -140,7 +140,9 @@ def _introduction(meta: Mapping[str, Any]) -> list[str]:
         "`even` and `even-shipped` are the controls: as many scans, equally spaced. Only where",
         "SDP-PE beats its control did it help to look at the walls; what it gains over the",
         "intervals 1 to 20 beyond that comes from the number of scans alone. `information` is the",
-        "method without walls and weights, foreseeing point-to-line matches.",
+        "method without walls and weights, foreseeing point-to-line matches. It counts on the",
+        "odometry for a place to start from: without, it goes farther than a match from no",
+        "motion can reach.",
     ]
 
 
