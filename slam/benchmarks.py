@@ -39,10 +39,9 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "identical": "identical",
     },
     "log": {
-        "case": "laser", "messages": "messages", "write_per_s": "written/s",
-        "write_x_realtime": "x real", "read_per_s": "read/s", "mb_per_hour": "MB/h",
-        "mb_per_hour_closed": "closed MB/h", "read_rss_mb": "MB to read it",
-        "sync_ms_median": "fsync ms", "sync_ms_p99": "p99",
+        "case": "laser", "write_per_s": "put/s", "write_x_realtime": "x real",
+        "read_per_s": "read/s", "mb_per_hour": "MB/h", "mb_per_hour_closed": "closed",
+        "read_rss_mb": "RSS MB", "sync_ms_median": "sync ms", "sync_ms_p99": "p99",
     },
     "growth": {
         "keyframes": "keyframes", "closures": "closures", "way_m": "way m",
