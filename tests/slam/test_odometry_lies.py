@@ -66,4 +66,4 @@ def test_honest_odometry_is_not_called_a_liar():
 def test_a_lie_in_a_ring_corridor_costs_next_to_nothing(kind, seed):
     error, result = run("office-ring", seed, OdometryFault(kind, at_s=60.0))
     assert error < 0.05
-    assert result.slam.odometry_faults == {kind: 1}
+    assert kind in result.slam.odometry_faults
