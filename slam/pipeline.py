@@ -42,7 +42,7 @@ STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in burs
 MOST_BETWEEN = 64  # scans kept between two keyframes
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
-MAX_WAIT_NS = 1_000_000_000  # a scan waits this long (in message time) for odometry after it
+MAX_WAIT_NS = 2_000_000_000  # a scan waits this long (in message time) for odometry after it
 
 
 @dataclass(frozen=True, eq=False, slots=True)
