@@ -209,6 +209,7 @@ def _rows_of(judged: Sequence[_Judged]) -> Iterator[Sequence[_Judged]]:
 def _disputed(disputes: Sequence[_Dispute], judged: Sequence[_Judged]) -> Iterator[Finding]:
     if not disputes:
         return
+    lone = len(disputes) == 1  # which may as well be the fault of a single match
     single = [dispute for dispute in disputes if len(dispute.pairs) == 1]
     disputes = single or disputes  # a block tells less exactly when it was
     worst = max(disputes, key=lambda dispute: dispute.excess)
@@ -218,14 +219,14 @@ def _disputed(disputes: Sequence[_Dispute], judged: Sequence[_Judged]) -> Iterat
         f"over {count} of {len(judged)} steps looked at, most where the wheels say "
         f"{_words(worst.wheels)} and the scans {_words(worst.scans)}"
     )
-    if 2 * sum(map(_opposite, single)) > len(single):
+    if not lone and 2 * sum(map(_opposite, single)) > len(single):
         yield Finding(
             "error", "odometry-sign", "/odom",
             f"the wheels count the other way than the robot goes, {told}", count, first,
         )  # fmt: skip
         return
     yield Finding(
-        "error" if count > MANY * len(judged) else "warning", "wheel-slip", "/odom",
+        "note" if lone else "error" if count > MANY * len(judged) else "warning", "wheel-slip", "/odom",
         f"wheels and scans disagree (slip, a push, or an encoder that fails) {told}",
         count, first,
     )  # fmt: skip

@@ -48,11 +48,12 @@ def test_a_sound_drive_has_no_findings(sound):
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("world", SCENARIOS)
 @pytest.mark.parametrize("noise", ["none", "typical", "pessimistic"])
-def test_no_sound_drive_has_findings(world, noise):
+def test_no_sound_drive_has_more_than_a_note(world, noise):
     for seed in range(3):
         for laser in ("hokuyo-181", "utm-30lx") if seed == 0 else ("hokuyo-181",):
             drive = simulate(scenario(world, seed), LASERS[laser], ODOMETRY_NOISE[noise], seed)
-            assert findings(drive) == {}, (seed, laser)
+            severities = {f.severity for f in findings(drive).values()}
+            assert severities <= {"note"}, (seed, laser)
 
 
 @pytest.mark.parametrize("kind", ["stall", "slip", "jump", "stuck-encoder"])
