@@ -225,8 +225,9 @@ def _disputed(disputes: Sequence[_Dispute], judged: Sequence[_Judged]) -> Iterat
             f"the wheels count the other way than the robot goes, {told}", count, first,
         )  # fmt: skip
         return
+    severity: Severity = "error" if count > MANY * len(judged) else "warning"
     yield Finding(
-        "note" if lone else "error" if count > MANY * len(judged) else "warning", "wheel-slip", "/odom",
+        "note" if lone else severity, "wheel-slip", "/odom",
         f"wheels and scans disagree (slip, a push, or an encoder that fails) {told}",
         count, first,
     )  # fmt: skip
