@@ -114,59 +114,59 @@ def _measure(
 ) -> dict[str, Any]:
     """Each benchmark is imported only when asked for: some need optional packages."""
     if name == "benchmark":
-        from slam.bench_benchmark import bench_benchmark
+        from slam.bench.benchmark import bench_benchmark
 
         return bench_benchmark(data, quick, say, workers)
     if name == "buildings":
-        from slam.bench_buildings import bench_buildings
+        from slam.bench.buildings import bench_buildings
 
         return bench_buildings(quick, say)
     if name == "growth":
-        from slam.bench_growth import bench_growth
+        from slam.bench.growth import bench_growth
 
         return bench_growth(quick, say)
     if name == "matcher":
-        from slam.bench_matcher import bench_matcher
+        from slam.bench.matcher import bench_matcher
 
         return bench_matcher(data, quick, say)
     if name == "outliers":
-        from slam.bench_outliers import bench_outliers
+        from slam.bench.outliers import bench_outliers
 
         return bench_outliers(data, quick, say)
     if name == "online":
-        from slam.bench_online import bench_online
+        from slam.bench.online import bench_online
 
         return bench_online(quick, say)
     if name == "memory":
-        from slam.bench_memory import bench_memory
+        from slam.bench.memory import bench_memory
 
         return bench_memory(quick, say)
     if name == "view":
-        from slam.bench_view import bench_view
+        from slam.bench.view import bench_view
 
         return bench_view(data, quick, say)
     if name == "online-faults":
-        from slam.bench_online_faults import bench_online_faults
+        from slam.bench.online_faults import bench_online_faults
 
         return bench_online_faults(quick, say)
     if name == "batch":
-        from slam.bench_batch import bench_batch
+        from slam.bench.batch import bench_batch
 
         return bench_batch(quick, say)
     if name == "log":
-        from slam.bench_log import bench_log
+        from slam.bench.log import bench_log
 
         return bench_log(quick, out)
     if name == "paper":
-        from slam.bench_paper import bench_paper
+        from slam.bench.paper import bench_paper
 
         return bench_paper(out, quick, say)
     if name == "weights":
-        from slam.bench_weights import bench_weights
+        from slam.bench.weights import bench_weights
 
         return bench_weights(quick, say)
     if name == "pareto":
-        from slam.bench_pareto import bench_pareto
+        from slam.bench.pareto import bench_pareto
 
         return bench_pareto(out, data, quick, say)
     known = (

@@ -168,7 +168,7 @@ def report(
     ] = None,
 ) -> None:
     """Judge runs by their truth: report.html for people, report.json for programs."""
-    from slam.report import write_report
+    from slam.reports.report import write_report
 
     page = out or runs[0] / "report.html"
     reports = write_report(runs, truth, page)

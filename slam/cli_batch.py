@@ -53,10 +53,10 @@ def batch(
     that fails is a row with its reason, and exit code 3. Needs the extra `batch`.
     """
     _need_the_extra()
-    from slam.batch import Batch, run_batch
-    from slam.batch_engine import engine
-    from slam.batch_grid import make_grid
-    from slam.batch_report import lines
+    from slam.batches.batch import Batch, run_batch
+    from slam.batches.engine import engine
+    from slam.batches.grid import make_grid
+    from slam.batches.report import lines
 
     grid = make_grid(config, set_ or [])
     with engine(_count(workers, scheduler), scheduler) as client:
@@ -105,14 +105,14 @@ def tune(
     Goes on where it was interrupted; needs the extra `batch`.
     """
     _need_the_extra()
-    from slam.batch_engine import engine
+    from slam.batches.engine import engine
     from slam.config import load_config
-    from slam.tune import Tuning
-    from slam.tune import tune as run_tune
-    from slam.tune_objective import parse_objective
-    from slam.tune_report import summary_lines, write_tuned
-    from slam.tune_space import parse_parameters
-    from slam.tune_study import Search
+    from slam.tuning.objective import parse_objective
+    from slam.tuning.report import summary_lines, write_tuned
+    from slam.tuning.space import parse_parameters
+    from slam.tuning.study import Search
+    from slam.tuning.tune import Tuning
+    from slam.tuning.tune import tune as run_tune
 
     start = load_config(config, set_ or [])
     plan = Search(parse_parameters(param, start), trials, together, seed)

@@ -20,7 +20,7 @@ from slam.cli_view import (
 )
 
 if TYPE_CHECKING:
-    from slam.online_status import Status
+    from slam.onboard.status import Status
 
 drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
 _LOSS = 3  # exit code: finished, but data was lost
@@ -47,9 +47,9 @@ def online(
 ) -> None:
     """Record and map on the robot until Ctrl-C. The motors are never touched."""
     from slam.live.viewers import ViewOptions, watched
-    from slam.online import run_online
-    from slam.robot_config import load_robot
-    from slam.stop_request import StopRequest
+    from slam.onboard.online import run_online
+    from slam.onboard.robot_config import load_robot
+    from slam.onboard.stop_request import StopRequest
 
     settings = load_robot(config, set_ or [])
     progress = _Progress(sys.stderr.isatty())

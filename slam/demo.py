@@ -14,7 +14,7 @@ from logs.mcap_log import LogWriter
 from slam.config import load_config
 from slam.errors import RunError
 from slam.replay import replay
-from slam.report import write_report
+from slam.reports.report import write_report
 from slam.run_directory import new_run
 
 READING: Literal["878cm"] = "878cm"  # 462 scans, 1.9 cm apart; not the 180 cm also stated

@@ -31,7 +31,7 @@ from drivers.simulators.sweep import Sweeper
 from drivers.simulators.worlds import scenario
 from slam.config import SlamConfig
 from slam.errors import RunError
-from slam.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
+from slam.onboard.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
 from slam.toml_text import toml_text
 from slam.trajectory import Trajectory, write_tum
 

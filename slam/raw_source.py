@@ -18,7 +18,7 @@ from drivers.pioneer_decoder import MODELS, PioneerDecoder
 from logs.errors import LogError
 from logs.messages import Message, RawBytes
 from logs.parts import Recording
-from slam.online_status import device_losses
+from slam.onboard.status import device_losses
 
 SETTINGS = "robot.json"
 _RAW_TOPICS = ("/raw/p3dx/rx", "/raw/p3dx/tx", "/raw/laser/rx", "/raw/laser/tx")

@@ -22,7 +22,7 @@ def spread(
     """
     if not workers:
         return [function(item) for item in items]
-    from slam.batch_engine import engine, run_tasks
+    from slam.batches.engine import engine, run_tasks
 
     with engine(workers) as client:
         found = dict(run_tasks(client, function, items))

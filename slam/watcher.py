@@ -6,7 +6,7 @@ from typing import Protocol
 
 from logs.messages import Message, StatusMessage
 from slam.offline import Result
-from slam.online_status import Status
+from slam.onboard.status import Status
 from slam.pipeline import Slam
 
 

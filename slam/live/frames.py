@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from logs.messages import KeyframeDecision, LaserScan, LoopVerdict
 from slam.keyframe import Keyframe
 from slam.live.snapshot import Snapshot, View
-from slam.online_status import Status
+from slam.onboard.status import Status
 
 MOST_BEAMS = 361  # of a scan on the page
 BATCH = 100  # keyframes in one frame, so that a long run does not come in one lump

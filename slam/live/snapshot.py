@@ -11,7 +11,7 @@ from logs.messages import KeyframeDecision, LaserMount, LaserScan, LoopVerdict, 
 from slam.keyframe import Keyframe
 from slam.occupancy import MapConfig
 from slam.offline import Result
-from slam.online_status import Status
+from slam.onboard.status import Status
 from slam.pipeline import Slam
 from slam.trajectory import Poses
 

@@ -15,7 +15,7 @@ from slam.errors import ViewError
 from slam.live.guard import is_local
 from slam.live.snapshot import View, take, take_result
 from slam.offline import Result
-from slam.online_status import Status
+from slam.onboard.status import Status
 from slam.pipeline import Slam
 
 LEAST_TOKEN = 12  # characters

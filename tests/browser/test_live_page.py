@@ -14,7 +14,7 @@ from slam.config import load_config
 from slam.live.server import LiveServer
 from slam.live.viewers import Viewers
 from slam.offline import feed, finish
-from slam.online_status import Status
+from slam.onboard.status import Status
 from slam.pipeline import Slam
 from slam.stopwatch import NoWatch
 

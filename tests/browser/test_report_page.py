@@ -6,7 +6,7 @@ from drivers.simulators.drive import paper_drive
 from logs.mcap_log import LogWriter
 from slam.config import load_config
 from slam.replay import replay
-from slam.report import write_report
+from slam.reports.report import write_report
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from frontend.information import Outlook, best_distance, distance_of_overlap, in
 from frontend.matching import MatchConfig, Prior, Reference, match
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount, LaserScan
-from slam.bench_pareto_drives import permuted
+from slam.bench.pareto_drives import permuted
 from slam.odometry import OdometryConfig
 
 MOUNT = LaserMount(0, 0.0, 0.0, 0.0)

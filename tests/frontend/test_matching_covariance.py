@@ -7,7 +7,7 @@ from gtsam import Pose2
 from drivers.simulators.robot import drive
 from drivers.simulators.worlds import scenario
 from frontend.matching import MatchConfig
-from slam.bench_consistency import WORLDS, consistency
+from slam.bench.consistency import WORLDS, consistency
 from tests.frontend.scans import HOKUYO, error_of, match_one, prior_at, see
 
 MOTION = Pose2(0.3, 0.02, 0.1)

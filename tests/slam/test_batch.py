@@ -16,15 +16,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from logs.mcap_log import open_log
-from slam.batch import Batch, run_batch
-from slam.batch_engine import BatchError, engine, run_tasks
-from slam.batch_grid import make_grid
-from slam.batch_progress import TaskProgress
-from slam.batch_report import compare
-from slam.batch_run import make_task
-from slam.batch_sources import expand, find_truth, local_copy
-from slam.batch_table import is_time, make_row, parquet
-from slam.batch_task import log_hash, read_result, run_task
+from slam.batches.batch import Batch, run_batch
+from slam.batches.engine import BatchError, engine, run_tasks
+from slam.batches.grid import make_grid
+from slam.batches.progress import TaskProgress
+from slam.batches.report import compare
+from slam.batches.run import make_task
+from slam.batches.sources import expand, find_truth, local_copy
+from slam.batches.table import is_time, make_row, parquet
+from slam.batches.task import log_hash, read_result, run_task
 from slam.cli import main
 from slam.config import ConfigError, SlamConfig
 from slam.errors import ReportError

@@ -12,8 +12,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from slam.batch_engine import BatchError, engine, run_tasks
-from slam.batch_table import is_time
+from slam.batches.engine import BatchError, engine, run_tasks
+from slam.batches.table import is_time
 from slam.simulate import simulate_log
 from slam.spread import spread
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from logs.messages import FactorRecord
-from slam.bench_buildings import judged_closures, revisits, summary_rows
+from slam.bench.buildings import judged_closures, revisits, summary_rows
 
 # A square of 10 m sides, driven one and a half times, a keyframe a metre.
 SIDE = [(1.0, 0.0, 0.0), (0.0, 1.0, np.pi / 2), (-1.0, 0.0, np.pi), (0.0, -1.0, -np.pi / 2)]

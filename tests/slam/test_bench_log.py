@@ -2,8 +2,8 @@
 
 import json
 
-from slam import bench_log
-from slam.bench_log import bench_log as run
+from slam.bench import log as bench_log
+from slam.bench.log import bench_log as run
 from slam.benchmarks import COLUMNS, table
 
 

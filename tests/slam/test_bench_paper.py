@@ -8,8 +8,8 @@ import pytest
 from frontend.keyframes import KeyframeConfig
 from frontend.matching import MatchConfig
 from frontend.scan import VALID
-from slam.bench_paper import FIRST_TRAINING_SEED, SEEDS, Setting, compared, median_ci95, row
-from slam.bench_paper_drives import (
+from slam.bench.paper import FIRST_TRAINING_SEED, SEEDS, Setting, compared, median_ci95, row
+from slam.bench.paper_drives import (
     CONSTANT,
     PAPER_COUNTS,
     Outcome,
@@ -22,10 +22,10 @@ from slam.bench_paper_drives import (
     paper_bed_drive,
     sdp_pe,
 )
-from slam.bench_paper_figures import draw_comparison
-from slam.bench_paper_icp import drop_longest, part_rivals
-from slam.bench_paper_report import write_paper_report
-from slam.bench_paper_study import BEDS, RULES, Rules, by_rules
+from slam.bench.paper_figures import draw_comparison
+from slam.bench.paper_icp import drop_longest, part_rivals
+from slam.bench.paper_report import write_paper_report
+from slam.bench.paper_study import BEDS, RULES, Rules, by_rules
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.simulators.drive import EPOCH_NS
-from slam.bench_pareto import judged, row
-from slam.bench_pareto_drives import Outcome, messages_of, outcome_of, settings
-from slam.bench_pareto_figures import STYLES, draw_pareto
+from slam.bench.pareto import judged, row
+from slam.bench.pareto_drives import Outcome, messages_of, outcome_of, settings
+from slam.bench.pareto_figures import STYLES, draw_pareto
 
 SETTINGS = settings()
 

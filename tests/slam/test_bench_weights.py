@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from frontend.keyframes import KeyframeConfig
-from slam.bench_weights import (
+from slam.bench.weights import (
     DISTANCES_M,
     MEAN_M,
     OTHER,

@@ -25,10 +25,16 @@ from logs.messages import DeviceHealth, LaserScan, LogLine, RawBytes, WheelOdome
 from slam.config import load_config
 from slam.errors import RunError
 from slam.offline import SlamError
-from slam.online import run_online
-from slam.online_warmup import warm_up
+from slam.onboard.online import run_online
+from slam.onboard.robot_config import (
+    LaserPort,
+    MountConfig,
+    RecordingConfig,
+    RobotConfig,
+    RobotPort,
+)
+from slam.onboard.warmup import warm_up
 from slam.replay import replay
-from slam.robot_config import LaserPort, MountConfig, RecordingConfig, RobotConfig, RobotPort
 from slam.toml_text import toml_text
 
 SAME = ("graph.g2o", "graph.times.csv", "trajectory.tum", "keyframes.tum", "odometry.tum",

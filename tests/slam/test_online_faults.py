@@ -6,8 +6,8 @@ needs a reconnection or loses data, and, marked slow, every tenth of the campaig
 
 import pytest
 
-from slam.bench_online_faults import KINDS, RUNS, draw, drive_once, fault_free_m, run_one
-from slam.faulty_drive import DriveFaults
+from slam.bench.faulty_drive import DriveFaults
+from slam.bench.online_faults import KINDS, RUNS, draw, drive_once, fault_free_m, run_one
 
 
 def test_without_faults_nothing_is_lost_and_the_replay_is_the_same_run():

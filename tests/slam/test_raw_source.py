@@ -27,9 +27,9 @@ from logs.part_writer import PartWriter, RotationConfig
 from logs.parts import Recording
 from logs.schemas import encode, topic_of
 from slam.config import load_config
+from slam.onboard.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
 from slam.raw_source import decoders, messages_from_raw
 from slam.replay import SLAM_TOPICS, replay
-from slam.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
 
 CONFIG = RobotConfig(
     robot=RobotPort(port="memory", model="p3dx-sh"),

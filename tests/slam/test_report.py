@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import slam.report
+import slam.reports
 from logs.mcap_log import LogWriter
 from logs.messages import (
     FactorRecord,
@@ -23,13 +23,13 @@ from logs.messages import (
 from slam.errors import ReportError
 from slam.nav2_map import write_nav2_map
 from slam.occupancy import MapConfig, build_map
-from slam.report import evaluate, write_report
-from slam.report_html import format_number
-from slam.report_truth import find_clock_offset, read_truth
+from slam.reports.html import format_number
+from slam.reports.report import evaluate, write_report
+from slam.reports.truth import find_clock_offset, read_truth
 from slam.trajectory import NS, Trajectory, compose, path_length, write_tum
 
 START_NS = 1_700_000_000 * NS
-SCHEMA = Path(slam.report.__file__).with_name("report.schema.json")
+SCHEMA = Path(slam.reports.__file__).with_name("report.schema.json")
 HOSTILE = "<script>alert('x')</script>&"
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from slam.report_compare import group_runs, groups_json, mean_interval
-from slam.report_rows import bar_chart, strip_chart
+from slam.reports.compare import group_runs, groups_json, mean_interval
+from slam.reports.rows import bar_chart, strip_chart
 
 
 def run(name: str, **keyframes):

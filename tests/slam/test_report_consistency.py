@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam.report_consistency import closure_residuals, odometry_against_matches, wall_thickness
+from slam.reports.consistency import closure_residuals, odometry_against_matches, wall_thickness
 
 
 def walls(noise_m: float, apart_m: float = 0.0, scans: int = 8, seed: int = 0):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.metrics import credibility
-from slam.report_credibility import credibility_figures, explanation
+from slam.reports.credibility import credibility_figures, explanation
 
 WIDENED = {"graph": {"match_sigma_trans": 0.008, "match_sigma_rot": 0.004}}
 

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.pioneer_decoder import MODELS
 from slam.config import ConfigError, known_keys
-from slam.robot_config import RobotConfig, load_robot
+from slam.onboard.robot_config import RobotConfig, load_robot
 from slam.toml_text import toml_text
 
 PLAIN = """

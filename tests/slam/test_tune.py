@@ -6,9 +6,9 @@ import pytest
 
 from slam.config import ConfigError, SlamConfig
 from slam.errors import RunError
-from slam.tune_objective import Objective, Score, score, value
-from slam.tune_space import Parameter, parse_parameter, parse_parameters, values_of, with_values
-from slam.tune_study import Search, best, open_study, search
+from slam.tuning.objective import Objective, Score, score, value
+from slam.tuning.space import Parameter, parse_parameter, parse_parameters, values_of, with_values
+from slam.tuning.study import Search, best, open_study, search
 
 BASE = SlamConfig()
 PARAMETERS = (

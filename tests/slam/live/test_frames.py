@@ -11,7 +11,7 @@ import pytest
 from logs.messages import LaserScan, LoopVerdict
 from slam.live.frames import BATCH, MOST_BEAMS, Feed
 from slam.live.snapshot import View
-from slam.online_status import Status
+from slam.onboard.status import Status
 
 
 def told(feed: Feed, snapshot, stage="tracking", status=None) -> list[dict]:

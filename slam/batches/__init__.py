@@ -1,0 +1,1 @@
+"""`slam batch`: many logs under many settings, on Dask."""

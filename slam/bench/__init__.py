@@ -1,0 +1,1 @@
+"""Everything that `slam bench` measures, one module a benchmark."""

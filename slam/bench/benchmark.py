@@ -1,0 +1,86 @@
+"""`slam bench benchmark`: the public logs against the published figures."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.errors import RunError
+from slam.imports import import_log
+from slam.reports.report import evaluate
+from slam.spread import spread
+
+LOGS = ("intel", "mit-csail", "mit-killian")
+
+# Hess et al. 2016, table of errors by relations: mean and standard deviation, m.
+CARTOGRAPHER = {
+    "intel": (0.0229, 0.0239),
+    "mit-csail": (0.0319, 0.0363),
+    "mit-killian": (0.0395, 0.0488),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """One log to be imported, replayed and judged."""
+
+    name: str
+    folder: Path  # of the public logs
+    scratch: Path
+
+
+def bench_benchmark(
+    data: Path, quick: bool, say: Callable[[str], None], workers: int = 0
+) -> dict[str, Any]:
+    """Replay every log of `data`/benchmark with the shipped configuration and judge it.
+
+    Each replay is a process of its own, so that its peak memory is its own too; kernels are
+    compiled before.  With `quick` only intel is run; with workers, several logs at a time.
+
+    Raises:
+        RunError: the logs are not there, or a replay fails.
+    """
+    folder = data / "benchmark"
+    names = LOGS[:1] if quick else LOGS
+    for name in names:
+        if not (folder / f"{name}.clf.gz").is_file():
+            raise RunError(f"{folder / name}.clf.gz: no such log; say where they are with --data")
+    say(f"importing and replaying {', '.join(names)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        jobs = [_Job(name, folder.absolute(), Path(scratch)) for name in names]
+        rows = spread(_row, jobs, workers)
+    meta = {"published": "Cartographer, Hess et al. 2016", "workers": workers}
+    return {"meta": meta, "rows": rows}
+
+
+def _row(job: _Job) -> dict[str, Any]:
+    name, folder = job.name, job.folder
+    log, run = job.scratch / f"{name}.mcap", job.scratch / name
+    import_log(folder / f"{name}.clf.gz", log)
+    command = [sys.executable, "-m", "slam", "replay", str(log), "--out", str(run)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 3):
+        raise RunError(f"{name}: replay failed: {done.stderr.strip().splitlines()[-1]}")
+    summary = json.loads((run / "summary.json").read_text())
+    relations = evaluate(run, folder / f"{name}.relations").figures["relations"]
+    mean, std = CARTOGRAPHER[name]
+    return {
+        "log": name,
+        **relations,
+        "published_trans_mean_m": mean,
+        "published_trans_std_m": std,
+        "scans": summary["scans"],
+        "keyframes": summary["keyframes"],
+        "matches": summary["matches"],
+        "closures": summary["loops"]["accepted"],
+        "wall_s": summary["timing"]["wall_s"],
+        "realtime_factor": summary["timing"]["realtime_factor"],
+        "peak_rss_mb": summary["peak_rss_mb"],
+        "stages_s": summary["timing"]["stages_s"],
+    }

@@ -1,0 +1,1 @@
+"""`slam online`: the robot, its devices and everything that happens while it drives."""

@@ -1,0 +1,1 @@
+"""`slam report`: errors against truth, as a page and as numbers."""

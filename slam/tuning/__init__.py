@@ -1,0 +1,1 @@
+"""`slam tune`: settings found on training logs, judged on others."""
