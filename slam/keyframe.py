@@ -31,11 +31,15 @@ def view_centres(keyframes: Sequence[Keyframe], poses: NDArray[np.float64]) -> N
     Two scans see the same things if these points are near each other, whatever the field of
     view: with 180 degrees, two robots at one spot that face apart share nothing.
     """
-    local = np.array([k.prepared.centre for k in keyframes])
+    return placed(np.array([k.prepared.centre for k in keyframes]), poses)
+
+
+def placed(points: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 2) points in the map frame, each given in the frame of its own pose of (n, 3)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     return np.column_stack(
         [
-            poses[:, 0] + c * local[:, 0] - s * local[:, 1],
-            poses[:, 1] + s * local[:, 0] + c * local[:, 1],
+            poses[:, 0] + c * points[:, 0] - s * points[:, 1],
+            poses[:, 1] + s * points[:, 0] + c * points[:, 1],
         ]
     )

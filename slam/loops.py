@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ from frontend.loop_search import Closure, LoopSearchConfig
 from frontend.matching import MatchConfig
 from frontend.scan import PreparedScan
 from logs.messages import LoopVerdict
-from slam.keyframe import Keyframe, view_centres
+from slam.keyframe import Keyframe, placed, view_centres
 from slam.loops_beside import Beside, LoopQuestion, LoopSearcher
 
 
@@ -73,6 +74,9 @@ class LoopCloser:
         self.refuted: list[Candidate] = []
         self._pending: list[Candidate] = []
         self._searched_m = 0.0
+        # Of every `target_half`-th keyframe: what it looks at, in its own frame, and where on the way.
+        self._looks_at: list[tuple[float, float]] = []
+        self._anchors_m: list[float] = []
         self._limit = float(chi2.isf(config.gate, 3))
 
     def moved(self) -> None:
@@ -109,19 +113,19 @@ class LoopCloser:
     def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
         """Anchors of old places that the newest keyframe may be at, the likeliest first."""
         newest = keyframes[-1]
-        old = [
-            k.index for k in keyframes[:: max(1, self.config.target_half)]
-            if newest.travelled_m - k.travelled_m > self.config.min_path_m
-        ]  # fmt: skip
-        if not old:
+        stride = max(1, self.config.target_half)
+        for k in keyframes[len(self._anchors_m) * stride :: stride]:
+            self._anchors_m.append(k.travelled_m)
+            self._looks_at.append((float(k.prepared.centre[0]), float(k.prepared.centre[1])))
+        count = bisect_left(self._anchors_m, newest.travelled_m - self.config.min_path_m)
+        if not count:
             return []
-        centres = view_centres(
-            [*(keyframes[k] for k in old), newest], graph.poses[[*old, newest.index]]
-        )
-        here = centres[-1]
+        poses = graph.poses[: count * stride : stride]
+        centres = placed(np.array(self._looks_at[:count]), poses)
+        here = view_centres([newest], graph.poses[newest.index :])[0]
         sigma = float(np.sqrt(np.linalg.eigvalsh(graph.marginal(newest.index)[:2, :2])[-1]))
         reach = min(3 * sigma, self.config.search.max_reach) + self.config.view_m
-        tree = cKDTree(centres[:-1])
+        tree = cKDTree(centres)
         near = sorted(
             tree.query_ball_point(here, reach),
             key=lambda k: (float(np.hypot(*(centres[k] - here))), k),
@@ -133,7 +137,7 @@ class LoopCloser:
                 chosen.append(k)
             if len(chosen) == self.config.places:
                 break
-        return [old[k] for k in chosen]
+        return [k * stride for k in chosen]
 
     def _submap(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: range, origin: int
