@@ -74,7 +74,7 @@ class LoopCloser:
         self.refuted: list[Candidate] = []
         self._pending: list[Candidate] = []
         self._searched_m = 0.0
-        # Of every `target_half`-th keyframe: what it looks at, in its own frame, and where on the way.
+        # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
         self._anchors_m: list[float] = []
         self._limit = float(chi2.isf(config.gate, 3))
