@@ -8,16 +8,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from scipy.stats import t as student_t
 
 from slam.batches.grid import Grid
 from slam.batches.table import Row, is_time
-from slam.reports.html import format_number
+from slam.page import format_number, page_template
 from slam.run_directory import version
 
 ERRORS = ("relations_trans_mean_m", "ate_rmse_m")
@@ -73,18 +71,10 @@ def comparison_json(rows: Sequence[Row], grid: Grid) -> str:
 
 def comparison_html(rows: Sequence[Row], grid: Grid) -> str:
     """`report.html`: one page that needs nothing else."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parents[1] / "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = format_number
     labels = [grid.label(point) for point in grid.points]
     labelled = [(labels[k % len(labels)], row) for k, row in enumerate(rows)]
     shown = [column for column in _SHOWN if any(row[column[1]] for row in rows)]
-    return environment.get_template("batch.html.j2").render(
+    return page_template("batch.html.j2").render(
         version=version(),
         logs=len(rows) // len(labels),
         settings=compare(rows, grid),

@@ -7,14 +7,13 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from logs.messages import LoopVerdict
+from slam.page import format_number, page_template
 from slam.reports.charts import charts, comparison_charts
 from slam.reports.compare import COLUMNS, Interval, group_runs, lookup
 from slam.reports.credibility import explanation
@@ -44,29 +43,11 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 def render(reports: Sequence[RunReport]) -> str:
     """Return the page for one or more runs."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parents[1] / "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = format_number
-    template = environment.get_template("report.html.j2")
-    return template.render(
+    return page_template("report.html.j2").render(
         title=", ".join(report.run.name for report in reports),
         comparison=_comparison(reports),
         runs=[_run(report) for report in reports],
     )
-
-
-def format_number(value: Any, decimals: int = 3) -> str:
-    """Return a number for people: a dash where there is none."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "\N{EN DASH}"
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value)
-    return f"{value:,.{decimals}f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def _comparison(reports: Sequence[RunReport]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from logs.messages import (
 from slam.errors import ReportError
 from slam.nav2_map import write_nav2_map
 from slam.occupancy import MapConfig, build_map
-from slam.reports.html import format_number
+from slam.page import format_number
 from slam.reports.report import evaluate, write_report
 from slam.reports.truth import find_clock_offset, read_truth
 from slam.trajectory import NS, Trajectory, compose, path_length, write_tum
