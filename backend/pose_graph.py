@@ -26,11 +26,7 @@ class PoseGraph:
         self.loop_weights: dict[int, float] = {}  # of the last batch: index into edges
         self._maker = FactorMaker(config)
         self._first = map_T_first
-        self._isam = gtsam.ISAM2(_isam_parameters(config))
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        graph.add(self._maker.anchor(map_T_first))
-        values.insert(X(0), map_T_first)
-        self._isam.update(graph, values)
+        self._isam = self._begun("CHOLESKY")
         self._poses = np.array([[map_T_first.x(), map_T_first.y(), map_T_first.theta()]])
         self._count = 1
 
@@ -134,8 +130,14 @@ class PoseGraph:
     def marginals(self) -> Matrix:
         """(n, 3, 3) covariance of every map_T_k in its own frame, from the batch graph."""
         graph = self._maker.graph(self._first, self.edges, robust=True)
-        marginals = gtsam.Marginals(graph, values_of(self.poses))
-        return np.array([marginals.marginalCovariance(X(k)) for k in range(self._count)])
+        values, names = values_of(self.poses), [X(k) for k in range(self._count)]
+        try:
+            marginals = gtsam.Marginals(graph, values)
+            return np.array([marginals.marginalCovariance(x) for x in names])
+        except RuntimeError:  # as in _update
+            isam = self._begun("QR")
+            isam.update(self._factors(self.edges), _without_first(values))
+            return np.array([isam.marginalCovariance(x) for x in names])
 
     def relative(self, i: int, j: int) -> tuple[Pose2, Matrix]:
         """Estimate of i_T_j and its (3, 3) covariance in frame j, from the joint marginal."""
@@ -160,14 +162,48 @@ class PoseGraph:
             if not (0 <= edge.i < self._count and 0 <= edge.j < self._count and edge.i != edge.j):
                 raise GraphError(f"edge {edge.i}-{edge.j}: no such pair of keyframes")
 
+    def _begun(self, factorization: str) -> gtsam.ISAM2:
+        """A fresh ISAM2 that holds keyframe 0."""
+        parameters = _isam_parameters(self.config)
+        parameters.setFactorization(factorization)
+        isam = gtsam.ISAM2(parameters)
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        graph.add(self._maker.anchor(self._first))
+        values.insert(X(0), self._first)
+        isam.update(graph, values)
+        return isam
+
     def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> int:
-        """Give ISAM2 edges and new poses; how many poses it linearised anew."""
+        """Give ISAM2 edges and new poses; how many poses it linearised anew.
+
+        Cholesky refuses a heading that is known thousands of times worse than a position, as
+        after many keyframes in a row without a match.  QR, twice as slow, does not.
+        """
+        try:
+            moved: int = self._isam.update(self._factors(edges), values).getVariablesRelinearized()
+        except RuntimeError:
+            self._start_again(edges, values)
+            moved = 0
+        self.edges += edges
+        return moved
+
+    def _start_again(self, edges: Sequence[Edge], values: gtsam.Values) -> None:
+        """Build ISAM2 anew with QR, from all edges at the present poses, and these."""
+        everything = gtsam.Values(values)
+        for k in range(1, self._count):
+            if not everything.exists(X(k)):
+                everything.insert(X(k), self.pose(k))
+        self._isam = self._begun("QR")
+        try:
+            self._isam.update(self._factors([*self.edges, *edges]), everything)
+        except RuntimeError as error:
+            raise GraphError(f"the graph cannot be solved: {_first_line(error)}") from error
+
+    def _factors(self, edges: Sequence[Edge]) -> gtsam.NonlinearFactorGraph:
         graph = gtsam.NonlinearFactorGraph()
         for edge in edges:
             graph.add(self._maker.between(edge, robust=True))
-        moved: int = self._isam.update(graph, values).getVariablesRelinearized()
-        self.edges += edges
-        return moved
+        return graph
 
     def _refresh(self, values: gtsam.Values) -> None:
         self._poses[: self._count] = gtsam.utilities.extractPose2(values)
@@ -175,6 +211,16 @@ class PoseGraph:
     def _grow(self) -> None:
         if self._count == len(self._poses):
             self._poses = np.vstack([self._poses, np.zeros_like(self._poses)])
+
+
+def _without_first(values: gtsam.Values) -> gtsam.Values:
+    rest = gtsam.Values(values)
+    rest.erase(X(0))
+    return rest
+
+
+def _first_line(error: Exception) -> str:
+    return next((line for line in str(error).splitlines() if line.strip()), "no reason given")
 
 
 def _isam_parameters(config: GraphConfig) -> gtsam.ISAM2Params:
