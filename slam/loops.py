@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from gtsam import Pose2
@@ -95,7 +96,7 @@ class LoopCloser:
             return False
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
-        self._searcher.begin([self._question(keyframes, graph, anchor) for anchor in places])
+        self._searcher.begin([partial(self._question, keyframes, graph, k) for k in places])
         return bool(places)
 
     def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Edge]:

@@ -29,38 +29,43 @@ class LoopQuestion:
     covariance: Matrix  # (3, 3) of that, in the newest's frame
 
 
+Answer = tuple[LoopQuestion, Closure]
+
+
 class LoopSearcher:
     """Answers one set of questions at a time; maps of old places are kept for the next."""
 
     def __init__(self, config: LoopSearchConfig, matcher: MatchConfig, beside: Beside) -> None:
         self._config, self._matcher, self._beside = config, matcher, beside
         self._fields: dict[int, LikelihoodField] = {}  # by anchor; the search's own while it runs
-        self._questions: Sequence[LoopQuestion] = ()
-        self._searching: Future[list[Closure]] | None = None
+        self._searching: Future[list[Answer]] | None = None
 
     @property
     def running(self) -> bool:
         """Whether a search is at work; of interest to those who measure, not to the graph."""
         return self._searching is not None and not self._searching.done()
 
-    def begin(self, questions: Sequence[LoopQuestion]) -> None:
-        """Search for the answers, which must be taken before the next begin."""
-        self._questions = questions
+    def begin(self, questions: Sequence[Callable[[], LoopQuestion]]) -> None:
+        """Search for the answers, which must be taken before the next begin.
+
+        The questions are put by the search itself, for that takes time too: what they are
+        made of must not change until then.
+        """
         self._searching = self._beside(self._search, questions) if questions else None
 
-    def answers(self) -> Iterable[tuple[LoopQuestion, Closure]]:
+    def answers(self) -> Iterable[Answer]:
         """Each question with its answer, in the order asked; waits for a search that runs."""
         if self._searching is None:
             return ()
-        closures, self._searching = self._searching.result(), None
-        return zip(self._questions, closures, strict=True)
+        found, self._searching = self._searching.result(), None
+        return found
 
     def forget(self) -> None:
         """Old places have moved within: make new maps of them."""
         self._fields.clear()
 
-    def _search(self, questions: Sequence[LoopQuestion]) -> list[Closure]:
-        return [self._answer(question) for question in questions]
+    def _search(self, questions: Sequence[Callable[[], LoopQuestion]]) -> list[Answer]:
+        return [(asked, self._answer(asked)) for asked in (question() for question in questions)]
 
     def _answer(self, question: LoopQuestion) -> Closure:
         anchor = question.anchor

@@ -24,6 +24,7 @@ from slam.onboard.live import LiveRun
 from slam.onboard.robot_config import RobotConfig
 from slam.onboard.run import RECORDING, add_results, finish_folder, log_name, online_run
 from slam.onboard.status import Status
+from slam.onboard.undisturbed import give_way, undisturbed
 from slam.onboard.warmup import warm_up
 from slam.pipeline import Slam
 from slam.replay import SLAM_TOPICS, summarise, time_matches
@@ -65,7 +66,7 @@ def run_online(
         LogError: the disk failed.
     """
     watch, watcher = Stopwatch(), watcher or Nobody()
-    loops = ThreadPoolExecutor(1, thread_name_prefix="loops")
+    loops = ThreadPoolExecutor(1, thread_name_prefix="loops", initializer=give_way)
     slam = None if record_only else Slam(config.slam, watch, loops.submit)
     identity = {
         "source": "online", "version": version(), "config_sha256": config.slam.sha256(),
@@ -89,7 +90,8 @@ def run_online(
             )  # fmt: skip
             live = LiveRun(config, recorder, clock, slam, opener, watcher)
             say("recording; stop with Ctrl-C")
-            live.run(stop, tell, period_s)
+            with undisturbed():
+                live.run(stop, tell, period_s)
         status = recorder.status()
         summary = _account(live, status, identity)
         say(f"recorded {status.written} messages")
