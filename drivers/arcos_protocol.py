@@ -52,6 +52,7 @@ class Id(IntEnum):
     E_STALL = 56
     GYRO = 58
     BATTERYINFO = 62
+    BATTEST = 250
     RESET = 253
 
 

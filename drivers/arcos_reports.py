@@ -101,13 +101,13 @@ class StandardReport:
 
 @dataclass(frozen=True, slots=True)
 class ConfigReport:
-    """The part of a CONFIGpac that matters here (section 2.2); the rest is skipped."""
+    """The CONFIGpac (section 2.2), in the units of its fields; what firmware leaves out is zero."""
 
     robot_class: str
     subclass: str
     serial: str
     name: str
-    rot_vel_top: int  # deg/s
+    rot_vel_top: int  # deg/s, the tops cannot be set
     trans_vel_top: int  # mm/s
     sip_cycle: int  # ms
     host_baud: int  # code of HOSTBAUD
@@ -115,6 +115,42 @@ class ConfigReport:
     auto_baud: int  # 2: HOSTBAUD may be used
     rev_count: int = 0
     ticks_mm: int = 0
+    four_motors: int = 0
+    rot_acc_top: int = 0  # deg/s^2
+    trans_acc_top: int = 0  # mm/s^2
+    pwm_max: int = 0
+    aux1_baud: int = 0
+    gripper: int = 0
+    front_sonar: int = 0
+    rear_sonar: int = 0
+    low_battery: int = 0  # 0.1 V
+    p2mpacs: int = 0
+    stall_val: int = 0
+    stall_count: int = 0
+    joy_vel: int = 0
+    joy_rot_vel: int = 0
+    rot_vel_max: int = 0
+    trans_vel_max: int = 0
+    rot_acc: int = 0
+    rot_decel: int = 0
+    rot_kp: int = 0
+    rot_kv: int = 0
+    rot_ki: int = 0
+    trans_acc: int = 0
+    trans_decel: int = 0
+    trans_kp: int = 0
+    trans_kv: int = 0
+    trans_ki: int = 0
+    front_bumps: int = 0
+    rear_bumps: int = 0
+    charger: int = 0
+    sonar_cycle: int = 0  # ms
+    gyro: int = 0
+    drift_factor: int = 0  # 1/8192 of the left encoder's counts
+    aux2_baud: int = 0
+    aux3_baud: int = 0
+    shutdown_volts: int = 0  # 0.1 V
+    firmware: str = ""
 
 
 class EncoderReport(NamedTuple):
@@ -200,10 +236,23 @@ def encode_encoders(report: EncoderReport) -> bytes:
     return bytes([ENCODER]) + struct.pack("<ii", *report)
 
 
-# CONFIGpac between its strings (section 2.2): 4mots, five tops; then cycle to ticks_mm.
+# CONFIGpac between its strings (section 2.2): the tops stand before the name, the body behind it.
 _TOPS = struct.Struct("<B5H")
+_TOP_FIELDS = (
+    *("four_motors", "rot_vel_top", "trans_vel_top", "rot_acc_top", "trans_acc_top", "pwm_max"),
+)
 _BODY = struct.Struct("<3B2HB3HB16H6Bh2B2H")
-_SIP_CYCLE, _HOST_BAUD, _REV_COUNT, _WATCHDOG, _AUTO_BAUD, _TICKS = 0, 1, 7, 8, 30, 35
+_BODY_FIELDS = (
+    *("sip_cycle", "host_baud", "aux1_baud", "gripper", "front_sonar", "rear_sonar"),
+    *("low_battery", "rev_count", "watchdog", "p2mpacs", "stall_val", "stall_count"),
+    *("joy_vel", "joy_rot_vel", "rot_vel_max", "trans_vel_max", "rot_acc", "rot_decel"),
+    *("rot_kp", "rot_kv", "rot_ki", "trans_acc", "trans_decel"),
+    *("trans_kp", "trans_kv", "trans_ki", "front_bumps", "rear_bumps", "charger"),
+    *("sonar_cycle", "auto_baud", "gyro", "drift_factor", "aux2_baud", "aux3_baud"),
+    *("ticks_mm", "shutdown_volts"),
+)
+_TEXT_FIELDS = ("robot_class", "subclass", "serial", "name", "firmware")
+_GYRO_SCALES = bytes(5)  # gyroCW, gyroCCW and kinematicsDelay, the last that we know
 
 
 def decode_config(payload: bytes) -> ConfigReport | None:
@@ -211,36 +260,55 @@ def decode_config(payload: bytes) -> ConfigReport | None:
     parts = payload[1:].split(b"\0", 3)
     if payload[0] != CONFIG or len(parts) < 4 or len(parts[3]) < _TOPS.size:
         return None
-    tops = _TOPS.unpack_from(parts[3])
+    tops: dict[str, Any] = dict(zip(_TOP_FIELDS, _TOPS.unpack_from(parts[3]), strict=True))
     name, end, rest = parts[3][_TOPS.size :].partition(b"\0")
     if not end or len(rest) < _BODY.size:
         return None
-    body = _BODY.unpack_from(rest)
-    robot_class, subclass, serial = (part.decode("latin-1") for part in parts[:3])
-    return ConfigReport(
-        robot_class=robot_class,
-        subclass=subclass,
-        serial=serial,
-        name=name.decode("latin-1"),
-        rot_vel_top=tops[1],
-        trans_vel_top=tops[2],
-        sip_cycle=body[_SIP_CYCLE],
-        host_baud=body[_HOST_BAUD],
-        watchdog=body[_WATCHDOG],
-        auto_baud=body[_AUTO_BAUD],
-        rev_count=body[_REV_COUNT],
-        ticks_mm=body[_TICKS],
-    )
+    body: dict[str, Any] = dict(zip(_BODY_FIELDS, _BODY.unpack_from(rest), strict=True))
+    firmware = rest[_BODY.size :].partition(b"\0")[0]
+    texts = (text.decode("latin-1") for text in (*parts[:3], name, firmware))
+    words: dict[str, Any] = dict(zip(_TEXT_FIELDS, texts, strict=True))
+    return ConfigReport(**words, **tops, **body)
 
 
 def encode_config(report: ConfigReport) -> bytes:
-    """Return the payload of a CONFIGpac; fields that `ConfigReport` leaves out are zero."""
-    body = [0] * len(_BODY.unpack(bytes(_BODY.size)))
-    body[_SIP_CYCLE], body[_HOST_BAUD] = report.sip_cycle, report.host_baud
-    body[_REV_COUNT], body[_WATCHDOG] = report.rev_count, report.watchdog
-    body[_AUTO_BAUD], body[_TICKS] = report.auto_baud, report.ticks_mm
-    strings = (report.robot_class, report.subclass, report.serial)
-    head = b"".join(text.encode("latin-1") + b"\0" for text in strings)
-    tops = _TOPS.pack(0, report.rot_vel_top, report.trans_vel_top, 0, 0, 0)
-    name = report.name.encode("latin-1") + b"\0"
-    return bytes([CONFIG]) + head + tops + name + _BODY.pack(*body)
+    """Return the payload of a CONFIGpac."""
+    head, name, firmware = (
+        b"".join(text.encode("latin-1") + b"\0" for text in texts)
+        for texts in (
+            (report.robot_class, report.subclass, report.serial), (report.name,), (report.firmware,)
+        )
+    )  # fmt: skip
+    tops = _TOPS.pack(*(getattr(report, field) for field in _TOP_FIELDS))
+    body = _BODY.pack(*(getattr(report, field) for field in _BODY_FIELDS))
+    return bytes([CONFIG]) + head + tops + name + body + firmware + _GYRO_SCALES
+
+
+class IoReport(NamedTuple):
+    """Inputs and outputs of the user's port (section 2.2)."""
+
+    digital_in: tuple[int, ...] = (0, 0, 0, 0)  # DIGIN, front and rear bumpers, infrared
+    digital_out: tuple[int, ...] = (0,)
+    analog: tuple[int, ...] = (0,) * 9  # 10 bits each
+
+
+def decode_io(payload: bytes) -> IoReport | None:
+    """Return the inputs and outputs, None if the packet is not an IOpac or is cut short."""
+    if payload[0] != IO:
+        return None
+    groups, at = [], 1
+    for width in (1, 1, 2):
+        end = at + 1 + width * (payload[at] if at < len(payload) else 0)
+        if end > len(payload) or at >= len(payload):
+            return None
+        values = payload[at + 1 : end]
+        groups.append(tuple(struct.unpack(f"<{len(values) // width}{' BH'[width]}", values)))
+        at = end
+    return IoReport(*groups)
+
+
+def encode_io(report: IoReport) -> bytes:
+    """Return the payload of an IOpac."""
+    groups = zip(report, "BBH", strict=True)
+    packed = (struct.pack(f"<B{len(group)}{form}", len(group), *group) for group, form in groups)
+    return bytes([IO]) + b"".join(packed)

@@ -148,7 +148,7 @@ def _measure(
     if name == "online-faults":
         from slam.bench.online_faults import bench_online_faults
 
-        return bench_online_faults(quick, say)
+        return bench_online_faults(out, quick, say)
     if name == "batch":
         from slam.bench.batch import bench_batch
 

@@ -12,14 +12,22 @@ from drivers.scip_protocol import (
     decode_command,
     encode_number,
     encode_reply,
-    information_line,
     with_sum,
 )
 from drivers.scip_scan import SCAN_SYMBOLS, ScanRequest, decode_request
+from drivers.simulators.hokuyo_answers import (
+    information,
+    no_command,
+    no_scan,
+    parameters,
+    version,
+)
 from drivers.simulators.hokuyo_models import MODELS, HokuyoModel
 from drivers.simulators.sweep import Sweeper
 
 _SPEEDS = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
+_BAUD = 19200  # as delivered
+_SPEED_S = 0.02  # s behind a command until its speed counts: the answer goes at the old one
 _REBOOT_S = 0.05  # s from the answer to RB until the sensor is gone; our estimate
 _STATES = {"idle": "000", "clock": "002", "on": "003", "stream": "004", "asleep": "005"}
 
@@ -62,7 +70,8 @@ class HokuyoDevice:
         self._count_at_start = self.build.clock_start
 
     def _power_on(self, now_s: float) -> None:
-        self.baud = 19200
+        self.baud = _BAUD
+        self._new_baud: tuple[int, float] | None = None  # and when it takes effect
         self._ready_s = now_s + self.build.boot_s
         self._framer, self._out = CommandFramer(), bytearray()
         self._state = "idle"
@@ -104,7 +113,7 @@ class HokuyoDevice:
             if self._old and (command is None or command.symbol != "SCIP2.0"):
                 self._out += line + b"\nE\n\n"
             elif command is None:
-                self._out += encode_reply(line, "0E")
+                self._out += encode_reply(line, no_command(line))
             else:
                 self._answer(line, command, now_s)
 
@@ -114,6 +123,8 @@ class HokuyoDevice:
             _, takes = self._reboots.pop(0)
             self._power_on(now_s)
             self._ready_s = now_s + takes
+        if self._new_baud is not None and now_s >= self._new_baud[1]:
+            self.baud, self._new_baud = self._new_baud[0], None
         if self._state == "stream" and self._request is not None:
             self._stream(now_s, self._request)
         sent, self._out = bytes(self._out), bytearray()
@@ -138,8 +149,8 @@ class HokuyoDevice:
 
     def _due_s(self, request: ScanRequest) -> float:
         """Return when the report of the next sweep is ready: behind its last step."""
-        parameters = self.model.parameters
-        seen = parameters.last_step / parameters.steps_per_turn * self._sweep_s
+        sensor = self.model.parameters
+        seen = sensor.last_step / sensor.steps_per_turn * self._sweep_s
         return self._next_sweep * self._sweep_s + seen + self.build.processing_s
 
     def _answer(self, line: bytes, command: Command, now_s: float) -> None:
@@ -155,11 +166,12 @@ class HokuyoDevice:
         """Do what a command other than a scan says; returns status and lines (section 4.1)."""
         match command.symbol:
             case "VV":
-                return "00", self._version()
+                return "00", version(self.model, self.build.serial, self.build.damaged_version)
             case "PP":
-                return "00", self._parameters()
+                return "00", parameters(self.model)
             case "II":
-                return "00", self._information(now_s)
+                lit, sound = self._state in ("on", "stream"), now_s < self.build.fault_at_s
+                return "00", information(self.model, self.count(now_s), lit, sound)
             case "BM":
                 already = self._state in ("on", "stream")
                 self._state = self._state if already else "on"
@@ -172,13 +184,15 @@ class HokuyoDevice:
                     return "0E", []
                 self._state = "idle"
                 self._zero_clock(now_s)
+                if command.symbol == "RS":
+                    self._new_baud = _BAUD, now_s + _SPEED_S
                 return "00", []
             case "RB":
                 return self._reboot(now_s)
             case "TM":
                 return self._keep_time(command.digits, now_s)
             case "SS":
-                return self._set_speed(command.digits), []
+                return self._set_speed(command.digits, now_s), []
             case "CR" | "HS":
                 return "04" if command.symbol == "CR" else "03", []
             case "%ST" if self.model.ethernet:
@@ -211,7 +225,7 @@ class HokuyoDevice:
             return "00" if inside else "03", []
         return "01", []
 
-    def _set_speed(self, digits: str) -> str:
+    def _set_speed(self, digits: str, now_s: float) -> str:
         if self.model.ethernet:
             return "0F"
         if len(digits) != 6 or int(digits) not in _SPEEDS:
@@ -219,74 +233,24 @@ class HokuyoDevice:
         if int(digits) == self.baud:
             return "03"
         if self.model.serial_speeds:
-            self.baud = int(digits)
+            self._new_baud = int(digits), now_s + _SPEED_S
         return "00"
 
     def _scan(self, line: bytes, command: Command, now_s: float) -> bytes:
-        request = decode_request(line)
         if self._state == "clock":
             return encode_reply(line, "0E")
-        if request is None:
-            return encode_reply(line, "0C")
-        parameters = self.model.parameters
-        if request.end > parameters.last_step or request.start < parameters.first_step:
-            return encode_reply(line, "04" if request.end > parameters.last_step else "01")
-        if request.end < request.start:
-            return encode_reply(line, "05")
+        request, refusal = decode_request(line), no_scan(line, self.model.parameters)
+        if request is None or refusal:
+            return encode_reply(line, refusal)
         if request.streams:
             self._state, self._left = "stream", request.count
             self._request, self._note = request, "" if command.note is None else f";{command.note}"
             self._next_sweep = math.ceil(now_s / self._sweep_s)
             return encode_reply(line, "00")
-        if self._state != "on":
+        if self._state not in ("on", "stream"):
             return encode_reply(line, "10")
-        seen_s = parameters.last_step / parameters.steps_per_turn * self._sweep_s
+        sensor = self.model.parameters
+        seen_s = sensor.last_step / sensor.steps_per_turn * self._sweep_s
         latest = max(0, math.floor((now_s - seen_s) / self._sweep_s))
         starts = latest * self._sweep_s
         return encode_reply(line, "00", self._sweeper.report(request, starts, self.count(starts)))
-
-    def _version(self) -> list[bytes]:
-        model = self.model
-        lines = [
-            information_line("VEND", "Hokuyo Automatic Co.,Ltd."),
-            information_line("PROD", model.product),
-            information_line("FIRM", model.firmware),
-            information_line("PROT", model.protocol),
-            information_line("SERI", self.build.serial),
-        ]
-        if self.build.damaged_version:
-            lines[1:2] = [b"stray", lines[1][:-1] + b"!"]
-        return lines
-
-    def _parameters(self) -> list[bytes]:
-        p = self.model.parameters
-        values: list[tuple[str, object]] = [
-            ("MODL", p.model),
-            ("DMIN", p.range_min_mm),
-            ("DMAX", p.range_max_mm),
-            ("ARES", p.steps_per_turn),
-            ("AMIN", p.first_step),
-            ("AMAX", p.last_step),
-            ("AFRT", p.front_step),
-            ("SCAN", p.rpm),
-        ]
-        if self.model.ethernet:
-            values.insert(3, ("PROT", self.model.protocol))
-        return [information_line(key, str(value)) for key, value in values]
-
-    def _information(self, now_s: float) -> list[bytes]:
-        p, count = self.model.parameters, self.count(now_s)
-        lit = self._state in ("on", "stream")
-        sound = now_s < self.build.fault_at_s
-        return [
-            information_line("MODL", p.model),
-            information_line("LASR", "ON" if lit else "OFF"),
-            information_line("SCSP", f"Initial({p.rpm}[rpm])<-Default setting by user"),
-            information_line("MESM", "CLASSIC"),
-            information_line("SBPS", self.model.line),
-            information_line(
-                "TIME",
-                encode_number(count, 4).decode() if self.model.ethernet else f"{count:06X}",
-            ),
-            information_line("STAT", self.model.sound if sound else "Laser malfunction. (50)"),
-        ]

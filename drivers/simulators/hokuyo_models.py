@@ -31,6 +31,21 @@ def _utm(model: str) -> SensorParameters:
     return SensorParameters(model, 23, 60000, 1440, 0, 1080, 540, 2400)
 
 
+def _ust(model: str) -> HokuyoModel:
+    return HokuyoModel(
+        parameters=SensorParameters(model, 20, 30000, 1440, 0, 1080, 540, 2400),
+        product=model,
+        firmware="4.0.2-A",
+        protocol="SCIP 2.2",
+        line="Ethernet 100 [Mbps]",
+        sound="sensor is working normally",
+        reach_mm=30000,
+        nothing=65533,
+        too_near=4,
+        ethernet=True,
+    )
+
+
 MODELS: Mapping[str, HokuyoModel] = MappingProxyType(
     {
         "urg-04lx": HokuyoModel(
@@ -71,17 +86,7 @@ MODELS: Mapping[str, HokuyoModel] = MappingProxyType(
             too_near=4,
             ethernet=True,
         ),
-        "ust-10lx": HokuyoModel(
-            parameters=SensorParameters("UST-10LX", 20, 30000, 1440, 0, 1080, 540, 2400),
-            product="UST-10LX",
-            firmware="4.0.2-A",
-            protocol="SCIP 2.2",
-            line="Ethernet 100 [Mbps]",
-            sound="sensor is working normally",
-            reach_mm=30000,
-            nothing=65533,
-            too_near=4,
-            ethernet=True,
-        ),
+        "ust-10lx": _ust("UST-10LX"),
+        "ust-20lx": _ust("UST-20LX"),
     }
 )

@@ -28,7 +28,8 @@ from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
 from drivers.simulators.link import Line, MemoryLink, SimulatedTime, WireFaults
 from drivers.simulators.motion import scenario_motion
-from drivers.simulators.pioneer_device import PioneerBuild, PioneerDevice
+from drivers.simulators.pioneer_build import PioneerBuild
+from drivers.simulators.pioneer_device import PioneerDevice
 from drivers.simulators.sweep import Integers, Sweeper, clustered
 from drivers.simulators.worlds import scenario
 from logs.recorder import Recorder
@@ -76,15 +77,18 @@ class FaultyDrive:
     """One drive through the test bed, read over two faulty wires; all of it when it is built."""
 
     def __init__(
-        self, seed: int, faults: DriveFaults | None = None, world: str = "testbed"
-    ) -> None:
+        self, seed: int, faults: DriveFaults | None = None, laser_seed: int | None = None,
+        world: str = "testbed",
+    ) -> None:  # fmt: skip
+        """Draw the noise of the wheels from `seed`, and the laser's unless it has its own."""
         faults = faults or DriveFaults()
+        laser_seed = seed if laser_seed is None else laser_seed
         bed = scenario(world)
         self.motion = scenario_motion(bed, seed=seed, faults=faults.wheels, starts_s=STARTS_S)
         standing_s = _STANDS_S * len(faults.base.reboots)
         self.until_s = self.motion.ends_s + standing_s + TAIL_S
         self.base = PioneerDevice(self.motion, faults.base)
-        self.sweeper = _Memory(MODELS["utm-30lx"], bed.world, self.motion, seed=seed)
+        self.sweeper = _Memory(MODELS["utm-30lx"], bed.world, self.motion, seed=laser_seed)
         self.head = HokuyoDevice(self.sweeper, faults.sensor)
         robot = RobotPort(port="memory").driver()
         laser = LaserPort(port="memory", from_deg=-90, to_deg=90, cluster=4).driver()

@@ -2,7 +2,10 @@
 
 Each kind of fault ten times and mixtures of up to four; every run is checked (no wrong scan,
 no wrong odometry, all counters, replay bit-identical), and its error is compared with that of
-the same drive without faults.
+the same drive, with the same noise, without faults.  Errors are a few millimetres, so the
+spread of fault-free drives that differ in the laser's noise alone is told beside it.
+
+Runs are kept in a file of their own as they are made: stopped and begun again, it goes on there.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,7 +23,7 @@ import numpy as np
 from drivers.simulators.faults import OdometryFault
 from drivers.simulators.hokuyo_device import HokuyoBuild
 from drivers.simulators.link import WireFaults
-from drivers.simulators.pioneer_device import PioneerBuild
+from drivers.simulators.pioneer_build import PioneerBuild
 from logs.mcap_log import open_log
 from slam.bench.fault_checks import (
     differences,
@@ -34,6 +37,7 @@ from slam.bench.fault_checks import (
     wrong_scans,
 )
 from slam.bench.faulty_drive import STARTS_S, DriveFaults, FaultyDrive
+from slam.bench.kept_runs import KeptRuns
 from slam.config import SlamConfig
 from slam.errors import RunError
 from slam.offline import feed, finish
@@ -45,6 +49,7 @@ Rng = np.random.Generator
 RUNS = 200
 _ALONE = 10  # runs of each kind alone; the others are mixtures
 _BAUDS = (19200, 38400, 57600, 115200)  # of the robot, while the driver expects 9600
+NOISES = 6  # drives without faults that differ in the laser's noise, of each
 DRIVES = 5  # different noise of wheels and laser; each is driven without faults as well
 DRIVE_S = 16.0  # s of the drive in which a fault may begin
 LONG_S = 2.0  # outages of this length and more may cost accuracy
@@ -136,21 +141,27 @@ def run_one(seed: int) -> dict[str, Any]:
 
 
 @lru_cache
-def fault_free_m(drive: int) -> float:
-    """Error of a drive without faults, m.
+def fault_free_m(drive: int, laser_seed: int | None = None) -> float:
+    """Error of a drive without faults, m; with other noise of the laser if it has its own seed.
 
     Raises:
         RunError: a check fails even so.
     """
-    row = drive_once(drive, DriveFaults())
+    row = drive_once(drive, DriveFaults(), laser_seed)
     if row["wrong"]:
         raise RunError(f"without any fault: {', '.join(row['wrong'])}")
     return float(row["error_m"])
 
 
-def drive_once(drive_seed: int, faults: DriveFaults) -> dict[str, Any]:
+def _fault_free(drive: int, laser_seed: int) -> dict[str, Any]:
+    return {"m": fault_free_m(drive, laser_seed)}
+
+
+def drive_once(
+    drive_seed: int, faults: DriveFaults, laser_seed: int | None = None
+) -> dict[str, Any]:
     """One drive, its live run and its replay: error, counters and what is wrong."""
-    drive = FaultyDrive(drive_seed, faults)
+    drive = FaultyDrive(drive_seed, faults, laser_seed)
     config = SlamConfig()
     with tempfile.TemporaryDirectory(prefix="slam-faults-") as folder:
         log = Path(folder) / "run.mcap"
@@ -185,17 +196,37 @@ def drive_once(drive_seed: int, faults: DriveFaults) -> dict[str, Any]:
     }
 
 
-def bench_online_faults(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
-    """Run the campaign; a run that raises is a row as well."""
+def bench_online_faults(out: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+    """Run the campaign, or what is left of it in `out`; a run that fails a check is a row as well.
+
+    Raises:
+        RunError: the file of runs cannot be written.
+    """
+    seeds = range(0, RUNS, 10 if quick else 1)
+    kept = KeptRuns(out / "online-faults.runs.jsonl")
+    spread = [
+        [kept.made(f"drive {drive}, noise {k}", partial(_fault_free, drive, k))["m"]
+         for k in range(100, 100 + (2 if quick else NOISES))]
+        for drive in range(DRIVES)
+    ]  # fmt: skip
     runs = []
-    for seed in range(0, RUNS, 10 if quick else 1):
-        row = run_one(seed)
+    for seed in seeds:
+        row = kept.made(f"run {seed}", partial(run_one, seed))
         runs.append(row)
         told = ", ".join(row["wrong"]) or "sound"
         say(f"run {seed}, {row['faults']}: {row['ratio']:.2f} times the error, {told}")
     kinds = sorted({row["kind"] for row in runs})
+    meta = {
+        "drives": DRIVES, "long_outage_s": LONG_S, "worse": WORSE,
+        "fault_free_mm": [[round(1e3 * m, 2) for m in sorted(errors)] for errors in spread],
+        "fault_free_ratio_most": round(max(max(errors) / min(errors) for errors in spread), 3),
+    }  # fmt: skip
+    say(
+        f"without faults the noise alone makes one run {meta['fault_free_ratio_most']:.2f} times "
+        "as wrong as another of the same drive"
+    )
     return {
-        "meta": {"drives": DRIVES, "long_outage_s": LONG_S},
+        "meta": meta,
         "rows": [_summary(kind, [row for row in runs if row["kind"] == kind]) for kind in kinds],
         "runs": runs,
     }

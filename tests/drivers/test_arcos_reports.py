@@ -11,14 +11,17 @@ from drivers.arcos_reports import (
     ConfigReport,
     EncoderReport,
     Identity,
+    IoReport,
     StandardReport,
     decode_config,
     decode_encoders,
     decode_identity,
+    decode_io,
     decode_standard,
     encode_config,
     encode_encoders,
     encode_identity,
+    encode_io,
     encode_standard,
 )
 
@@ -28,7 +31,10 @@ FULL = StandardReport(
     grip_state=1, analog_port=2, analog=3, digital_in=255, digital_out=254, battery_x10=131,
     charge_state=-1, rot_vel=-200, fault_flags=9, lat_vel=-3, temperature=-127, charge_percent=80,
 )  # fmt: skip
-CONFIG_REPORT = ConfigReport("Pioneer", "p3dx-sh", "X1", "me", 360, 1000, 100, 0, 2000, 2, 7, 128)
+CONFIG_REPORT = ConfigReport(
+    "Pioneer", "p3dx-sh", "X1", "me", 360, 1000, 100, 0, 2000, 2, 7, 128,
+    rot_acc_top=300, trans_vel_max=750, drift_factor=-3, shutdown_volts=110, firmware="2.9",
+)  # fmt: skip
 
 
 def device_packets(dialogue, name):
@@ -92,6 +98,10 @@ def test_identity_encoders_and_config_come_back():
     assert decode_encoders(b"\x90abc") is None
     assert decode_config(encode_config(CONFIG_REPORT)) == CONFIG_REPORT
     assert decode_config(encode_config(CONFIG_REPORT)[:60]) is None
+    inputs = IoReport((1, 2, 3, 4), (255,), (1023, 0, 7))
+    assert decode_io(encode_io(inputs)) == inputs
+    assert encode_io(inputs) == bytes.fromhex("f0 04 01020304 01 ff 03 ff03 0000 0700")
+    assert all(decode_io(encode_io(inputs)[:cut]) is None for cut in range(1, 15))
 
 
 def test_the_config_of_a_real_robot_reads_as_its_owner_said():
@@ -116,6 +126,8 @@ def test_soars_session_decodes(dialogue):
     )
     [config] = [decode_config(p.payload) for p in packets if p.id == CONFIG]
     assert (config.sip_cycle, config.watchdog, config.auto_baud) == (100, 2000, 2)
+    assert (config.rot_vel_max, config.trans_vel_max, config.pwm_max) == (150, 3000, 400)
+    assert (config.rot_acc, config.trans_decel, config.firmware) == (100, 300, "S.0")
 
 
 def test_players_session_decodes(dialogue):
@@ -139,8 +151,8 @@ def test_what_foreign_clients_send_is_understood(dialogue):
 
 
 @settings(deadline=None, max_examples=300)
-@given(st.binary(min_size=1, max_size=250), st.sampled_from([0x32, 0x33, 0x20, 0x90, 0x02]))
+@given(st.binary(min_size=1, max_size=250), st.sampled_from([0x32, 0x33, 0x20, 0x90, 0xF0, 0x02]))
 def test_no_payload_raises(payload, kind):
     payload = bytes([kind]) + payload
-    for decode in (decode_standard, decode_config, decode_encoders, decode_identity):
+    for decode in (decode_standard, decode_config, decode_encoders, decode_identity, decode_io):
         decode(payload)

@@ -12,7 +12,8 @@ from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
 from drivers.simulators.link import Line
 from drivers.simulators.motion import CommandedMotion, TrackMotion
-from drivers.simulators.pioneer_device import PioneerBuild, PioneerDevice
+from drivers.simulators.pioneer_build import PioneerBuild
+from drivers.simulators.pioneer_device import PioneerDevice
 from drivers.simulators.robot import track_of
 from drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
 from drivers.simulators.sweep import Sweeper

@@ -243,12 +243,12 @@ def test_damage_on_the_wire_costs_scans_but_never_makes_one_up(laser_bench):
     assert len(made_up) <= 2  # six bits of sum let one in 64 of doubly damaged lines through
 
 
-def test_no_sensor_and_no_parameters_are_told_as_such(laser_bench):
+def test_no_sensor_and_no_parameters_are_told_as_such(laser_bench, monkeypatch):
     bench = laser_bench(faults=WireFaults(silences=((0.0, 1e9),)))
     with pytest.raises(NoReply, match="powered"):
         bench.session.connect()
     bench = laser_bench()
-    bench.device._parameters = lambda: []
+    monkeypatch.setattr("drivers.simulators.hokuyo_device.parameters", lambda model: [])
     with pytest.raises(WrongDevice, match="no parameters"):
         bench.session.connect()
 

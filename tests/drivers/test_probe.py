@@ -4,7 +4,7 @@ from drivers.errors import PortError
 from drivers.probe import probe
 from drivers.simulators.hokuyo_device import HokuyoBuild
 from drivers.simulators.link import WireFaults
-from drivers.simulators.pioneer_device import PioneerBuild
+from drivers.simulators.pioneer_build import PioneerBuild
 
 
 def run(bench, **options):

@@ -16,7 +16,8 @@ from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
 from drivers.simulators.link import Line, WireFaults
 from drivers.simulators.motion import scenario_motion
-from drivers.simulators.pioneer_device import PioneerBuild, PioneerDevice
+from drivers.simulators.pioneer_build import PioneerBuild
+from drivers.simulators.pioneer_device import PioneerDevice
 from drivers.simulators.robot import ODOMETRY_NOISE
 from drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
 from drivers.simulators.sweep import Sweeper

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from drivers.scip_protocol import ReplyFramer, decode_information, is_sound
+from drivers.scip_protocol import ReplyFramer, decode_information, is_sound, with_sum
 from drivers.scip_scan import ScanRequest, decode_scan
 from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
+from drivers.simulators.link import Line
 from drivers.simulators.motion import TrackMotion
 from drivers.simulators.robot import track_of
 from drivers.simulators.sweep import Sweeper, clustered
@@ -59,6 +60,8 @@ def test_a_laser_that_is_off_does_not_measure():
         ("MD0000110001000", "04"),
         ("MD0900018001000", "05"),
         ("MD00001080", "0C"),
+        ("MD00001080010000", "0D"),
+        ("GD000010800100", "0D"),
         ("RT", "0E"),
         ("%ST", "0E"),
         ("TM1", "04"),
@@ -73,6 +76,25 @@ def test_a_laser_that_is_off_does_not_measure():
 )
 def test_what_cannot_be_done_has_its_code(line, status):
     assert Client().status(line) == status
+
+
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("MDx000108001000", "01"),
+        ("GD0000x08001", "02"),
+        ("MD00001080+1000", "03"),
+        ("ME000010800.000", "03"),
+        ("MD000010800100x", "07"),
+        ("MD0000108001x00", "06"),
+        ("MD0000108001000;seventeen letters", "0G"),
+        ("VV;what?", "0H"),
+    ],
+)
+def test_what_cannot_be_read_is_told_by_its_first_wrong_part(line, status):
+    device = Client().device
+    device.receive(line.encode() + b"\n", 0.0)
+    assert device.advance(0.0) == line.encode() + b"\n" + with_sum(status.encode()) + b"\n\n"
 
 
 def test_what_is_no_command_is_told_as_such():
@@ -97,6 +119,15 @@ def test_md_says_yes_first_and_then_counts_down():
     assert {decode_scan(r).distances.size for r in reports} == {181}
     assert client.device.state == "idle"  # the last one switches the laser off
     assert client.wait(1.0) == []
+
+
+def test_a_single_scan_can_be_had_while_others_stream():
+    client = Client()
+    client.say("MD0000108001000")
+    client.wait(1.0)
+    [reply] = client.say("GD0180090004")
+    assert (reply.status, decode_scan(reply).distances.size) == ("00", 181)
+    assert client.wait(0.1)[0].echo == b"MD0000108001000"
 
 
 def test_without_end_the_echo_stays_at_zero_until_quit():
@@ -241,6 +272,21 @@ def test_what_hokuyoaist_sent_gets_the_lines_the_real_sensor_gave(capture, name)
                 decode_information(ours.lines)[0].keys()
                 == decode_information(theirs.lines)[0].keys()
             )
+
+
+def test_a_new_speed_counts_behind_the_answer():
+    """urg_library sets its own speed when it has the answer, and waits 150 ms."""
+    client, slow = Client(model="urg-04lx"), 19200
+    line, now = Line(client.device), 0.0
+    line.to_device(b"SCIP2.0\n", now, slow)
+    line.to_host(0.5, slow)
+    line.to_device(b"SS115200\n", 0.5, slow)
+    assert line.to_host(0.6, slow) == b"SS115200\n00P\n\n"
+    line.to_device(b"QT\n", 0.7, 115200)
+    assert line.to_host(0.8, 115200) == b"QT\n00P\n\n"
+    line.to_device(b"RS\n", 0.8, 115200)
+    assert line.to_host(0.9, 115200) == b"RS\n00P\n\n"
+    assert client.device.baud == slow
 
 
 def test_sensors_that_do_not_exist_are_refused():

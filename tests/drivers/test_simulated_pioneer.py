@@ -5,16 +5,20 @@ from drivers.arcos_protocol import Framer, Id, encode_command, encode_packet, ve
 from drivers.arcos_reports import (
     CONFIG,
     ENCODER,
+    IO,
     STANDARD,
+    IoReport,
     decode_config,
     decode_encoders,
     decode_identity,
+    decode_io,
     decode_standard,
 )
 from drivers.simulators.drive import dead_reckoning
 from drivers.simulators.faults import TRACK_WIDTH_M, OdometryFault
 from drivers.simulators.motion import CommandedMotion
-from drivers.simulators.pioneer_device import PioneerBuild, PioneerDevice
+from drivers.simulators.pioneer_build import PioneerBuild
+from drivers.simulators.pioneer_device import PioneerDevice
 from drivers.simulators.robot import ODOMETRY_NOISE, track_of
 
 
@@ -172,6 +176,106 @@ def test_config_and_encoders_come_when_asked_for():
     packets = [p for p in client.wait(1.0) if p.id == ENCODER]
     assert len(packets) == pytest.approx(10, abs=1)
     assert decode_encoders(packets[0].payload).left == 0
+
+
+def test_the_config_lets_a_client_drive():
+    """ARIA takes its limits from there: by zeros it would stand for ever."""
+    client = Client()
+    client.connect()
+    [packet] = [p for p in client.say(encode_command(Id.CONFIG, 1)) if p.id == CONFIG]
+    config = decode_config(packet.payload)
+    assert (config.rot_vel_top, config.trans_vel_top) == (360, 1000)
+    limits = (
+        config.rot_acc_top, config.trans_acc_top, config.rot_vel_max, config.trans_vel_max,
+        config.rot_acc, config.rot_decel, config.trans_acc, config.trans_decel,
+    )  # fmt: skip
+    assert min(limits) > 0
+
+
+def test_inputs_and_outputs_come_when_asked_for():
+    client = Client()
+    client.connect()
+    client.say(encode_command(Id.IOREQUEST, 1))
+    assert ids(client.wait(1.0)).count(IO) == 1
+    client.say(encode_command(Id.IOREQUEST, 2))
+    packets = [p for p in client.wait(1.0) if p.id == IO]
+    assert len(packets) == pytest.approx(10, abs=1)
+    assert decode_io(packets[0].payload) == IoReport()
+    client.say(encode_command(Id.IOREQUEST, 0))
+    assert IO not in ids(client.wait(1.0)[1:])
+
+
+def test_encoders_count_what_each_wheel_rolls():
+    client = Client()
+    client.connect()
+    client.say(encode_command(Id.ENCODER, 2), encode_command(Id.RVEL, 20))
+    client.wait(4.0)
+    turned = client.motion.odometry(client.now)[2]
+    last = [decode_encoders(p.payload) for p in client.wait(0.1) if p.id == ENCODER][-1]
+    assert last.left == -last.right
+    assert (last.right - last.left) / 128_000 / TRACK_WIDTH_M == pytest.approx(turned, rel=0.03)
+    client.say(encode_command(Id.STOP))
+    client.wait(2.0)
+    begin = [decode_encoders(p.payload) for p in client.wait(0.1) if p.id == ENCODER][-1]
+    x, y, _ = client.motion.odometry(client.now)
+    client.say(encode_command(Id.VEL, -300))
+    client.wait(4.0)
+    end = [decode_encoders(p.payload) for p in client.wait(0.1) if p.id == ENCODER][-1]
+    x1, y1, _ = client.motion.odometry(client.now)
+    assert end.left - begin.left == end.right - begin.right < 0
+    assert (begin.left - end.left) / 128_000 == pytest.approx(np.hypot(x1 - x, y1 - y), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("commands", "degrees"),
+    [
+        ([(Id.HEAD, 90)], 90),
+        ([(Id.HEAD, 270)], -90),
+        ([(Id.DHEAD, -30)], -30),
+        ([(Id.DHEAD, 40), (Id.DCHEAD, 40)], 80),
+    ],
+)
+def test_headings_are_turned_to(commands, degrees):
+    client = Client()
+    client.connect()
+    client.say(*(encode_command(*command) for command in commands))
+    keep_alive(client, 8.0)
+    assert np.degrees(client.motion.odometry(client.now)[2]) == pytest.approx(degrees, abs=1.0)
+    assert client.motion.speeds(client.now) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("way", [500, -200])
+def test_a_distance_is_driven_and_no_more(way):
+    client = Client()
+    client.connect()
+    client.say(encode_command(Id.MOVE, way))
+    keep_alive(client, 8.0)
+    assert client.motion.odometry(client.now)[0] == pytest.approx(way / 1000, abs=0.01)
+    assert client.motion.speeds(client.now) == (0.0, 0.0)
+
+
+def keep_alive(client, seconds):
+    for _ in range(round(seconds)):
+        client.say(encode_command(Id.PULSE))
+        client.wait(1.0)
+
+
+def test_no_speed_beyond_the_controllers_own_top():
+    """ARIA sends SETV 3000."""
+    client = Client()
+    client.connect()
+    client.say(encode_command(Id.SETV, 3000), encode_command(Id.VEL, 3000))
+    keep_alive(client, 5.0)
+    assert client.motion.speeds(client.now)[0] == pytest.approx(1.0)
+
+
+def test_a_battery_can_be_faked():
+    client = Client()
+    client.connect()
+    client.say(encode_command(Id.BATTEST, 101))
+    assert decode_standard(client.wait(0.2)[-1].payload).volts == 10.1
+    client.say(encode_command(Id.BATTEST, 0))
+    assert decode_standard(client.wait(0.2)[-1].payload).volts == 12.8
 
 
 def test_seto_and_hostbaud_are_obeyed():
