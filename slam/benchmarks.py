@@ -17,6 +17,8 @@ from slam.run_directory import version
 
 Say = Callable[[str], None]
 
+IN_A_FILE = 160  # columns of a table that no terminal shows
+
 SPREAD = ("benchmark",)
 """Benchmarks that can use worker processes."""
 
@@ -25,7 +27,8 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     "benchmark": {
         "log": "log", "trans_mean_m": "mean m", "trans_std_m": "+- m", "rot_mean_deg": "deg",
         "published_trans_mean_m": "published m", "keyframes": "keyframes", "matches": "matches",
-        "closures": "closures", "wall_s": "s", "realtime_factor": "x real", "peak_rss_mb": "MB",
+        "closures": "closures", "wall_s": "s", "cpu_s": "CPU s", "realtime_factor": "x real",
+        "peak_rss_mb": "MB",
     },
     "buildings": {
         "building": "building", "fault": "fault", "seeds": "seeds", "ate_m_median": "ATE m",
@@ -99,7 +102,10 @@ def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: 
         **result["meta"],
     }
     if name in COLUMNS:
-        Console().print(table(name, result["rows"]))
+        console = Console()
+        if not console.is_terminal:  # nothing to fit into: a file holds whole rows
+            console.width = IN_A_FILE
+        console.print(table(name, result["rows"]))
     target = out / f"{name}.json"
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -180,11 +186,13 @@ def table(name: str, rows: list[dict[str, Any]]) -> Table:
     """The chosen columns of a benchmark's rows."""
     shown = Table(title=name)
     for k, heading in enumerate(COLUMNS[name].values()):
-        shown.add_column(heading, justify="right" if k else "left")
+        shown.add_column(heading, justify="right" if k else "left", overflow="fold")
     for row in rows:
         shown.add_row(*(_cell(row[column]) for column in COLUMNS[name]))
     return shown
 
 
 def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

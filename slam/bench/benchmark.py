@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slam.config import SlamConfig
 from slam.errors import RunError
 from slam.imports import import_log
+from slam.onboard.warmup import warm_up
 from slam.reports.report import evaluate
 from slam.spread import spread
-
-LOGS = ("intel", "mit-csail", "mit-killian")
 
 # Hess et al. 2016, table of errors by relations: mean and standard deviation, m.
 CARTOGRAPHER = {
@@ -40,23 +40,36 @@ def bench_benchmark(
 ) -> dict[str, Any]:
     """Replay every log of `data`/benchmark with the shipped configuration and judge it.
 
-    Each replay is a process of its own, so that its peak memory is its own too; kernels are
-    compiled before.  With `quick` only intel is run; with workers, several logs at a time.
+    A log is NAME.clf.gz beside NAME.relations.  Each replay is a process of its own, so that its
+    peak memory is its own too; kernels are compiled before.  With `quick` only the first is run;
+    with workers, several at a time.
 
     Raises:
-        RunError: the logs are not there, or a replay fails.
+        RunError: no log is there, or a replay fails.
     """
     folder = data / "benchmark"
-    names = LOGS[:1] if quick else LOGS
-    for name in names:
-        if not (folder / f"{name}.clf.gz").is_file():
-            raise RunError(f"{folder / name}.clf.gz: no such log; say where they are with --data")
+    names = logs_in(folder)[: 1 if quick else None]
+    if not names:
+        raise RunError(
+            f"{folder}: no NAME.clf.gz with its NAME.relations; say where they are with --data"
+        )
+    say("compiling the kernels")
+    warm_up(SlamConfig())
     say(f"importing and replaying {', '.join(names)}")
     with tempfile.TemporaryDirectory() as scratch:
         jobs = [_Job(name, folder.absolute(), Path(scratch)) for name in names]
         rows = spread(_row, jobs, workers)
+    for row in rows:
+        stages = sorted(row["stages_s"].items(), key=lambda stage: -stage[1])
+        say(f"{row['log']}: " + ", ".join(f"{name} {s:.1f} s" for name, s in stages))
     meta = {"published": "Cartographer, Hess et al. 2016", "workers": workers}
     return {"meta": meta, "rows": rows}
+
+
+def logs_in(folder: Path) -> list[str]:
+    """Names of the logs that have relations, in alphabetical order."""
+    names = sorted(path.name.removesuffix(".clf.gz") for path in folder.glob("*.clf.gz"))
+    return [name for name in names if (folder / f"{name}.relations").is_file()]
 
 
 def _row(job: _Job) -> dict[str, Any]:
@@ -69,7 +82,7 @@ def _row(job: _Job) -> dict[str, Any]:
         raise RunError(f"{name}: replay failed: {done.stderr.strip().splitlines()[-1]}")
     summary = json.loads((run / "summary.json").read_text())
     relations = evaluate(run, folder / f"{name}.relations").figures["relations"]
-    mean, std = CARTOGRAPHER[name]
+    mean, std = CARTOGRAPHER.get(name, (None, None))
     return {
         "log": name,
         **relations,
@@ -80,6 +93,7 @@ def _row(job: _Job) -> dict[str, Any]:
         "matches": summary["matches"],
         "closures": summary["loops"]["accepted"],
         "wall_s": summary["timing"]["wall_s"],
+        "cpu_s": summary["timing"]["cpu_s"],
         "realtime_factor": summary["timing"]["realtime_factor"],
         "peak_rss_mb": summary["peak_rss_mb"],
         "stages_s": summary["timing"]["stages_s"],
