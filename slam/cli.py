@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from types import FrameType
@@ -11,7 +12,9 @@ from typing import Annotated, Any
 import typer
 
 from slam.cli_batch import batch, tune
+from slam.cli_logs import LogArgument, doctor, export, import_, info, recover, simulate
 from slam.cli_online import drivers_app, online
+from slam.cli_output import exit_on_loss, say
 from slam.cli_view import (
     LOCAL,
     PORT,
@@ -30,15 +33,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-app.command()(online)
-app.command()(batch)
-app.command()(tune)
-app.add_typer(drivers_app, name="drivers")
-
-# `readable=False`: whoever opens a file says in one line why it cannot be read.
-LogArgument = Annotated[
-    Path, typer.Argument(help="An MCAP log.", show_default=False, readable=False)
-]
 ConfigOption = Annotated[
     Path | None, typer.Option(help="Configuration file (TOML).", readable=False)
 ]
@@ -58,59 +52,6 @@ class _From(StrEnum):
     raw = "raw"
 
 
-LOSS = 3  # exit code: finished, but data was lost or skipped
-
-
-@app.command()
-def simulate(
-    world: Annotated[str, typer.Argument(help="Name of a world; `list` names them all.")],
-    out: Annotated[Path | None, typer.Option(help="Log to write (.mcap).")] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Geometry, noise and odometry follow from it.")
-    ] = 0,
-    laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
-    noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
-) -> None:
-    """Drive a simulated robot through a world and log what it senses, with the truth."""
-    from slam.simulate import simulate_log, world_names
-
-    if world == "list":
-        typer.echo("\n".join(world_names()))
-        return
-    if out is None:
-        raise typer.BadParameter("say where to write the log: --out FILE.mcap")
-    count = simulate_log(world, out, seed, laser, noise)
-    _say(f"{out}: {count} messages")
-
-
-@app.command("import")
-def import_(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="CARMEN (.clf, .log) or BreezySLAM (.dat) log, ROS 1 bag, ROS 2 bag (folder, "
-            ".mcap, .db3), or g2o graph with ROBOTLASER1 lines; texts may be gzipped.",
-            readable=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
-) -> None:
-    """Turn a foreign log into an MCAP log; what is repaired or skipped is counted.
-
-    ROS bags need the extra `ros`; their times of receipt are kept.
-    """
-    from slam.imports import import_log
-
-    report = import_log(file, out)
-    _say(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
-    for cause, count in report.changed.items():
-        _say(f"  repaired: {count} {cause}")
-    for cause, count in report.ignored.items():
-        _say(f"  left out: {count} {cause}")
-    _exit_on_loss(report.skipped, "skipped")
-
-
-@app.command()
 def replay(
     log: LogArgument,
     out: Annotated[Path, typer.Option(help="RUN directory to make.")],
@@ -152,14 +93,13 @@ def replay(
     settings = load_config(config, set_ or [])
     past = read_past(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
-    with watched(options, _say) as viewers, stage_progress(log) as progress:
+    with watched(options, say) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
         summary = run_replay(log, out, settings, progress, raw, rate, viewers, past)
     _tell_summary(out, summary)
-    _exit_on_loss(summary["lost"], "lost")
+    exit_on_loss(summary["lost"], "lost")
 
 
-@app.command()
 def report(
     runs: Annotated[list[Path], typer.Argument(help="RUN directories.", show_default=False)],
     truth: TruthOption = None,
@@ -175,82 +115,10 @@ def report(
     for found in reports:
         _tell_figures(found.figures)
         for warning in found.warnings:
-            _say(f"  note: {warning}")
-    _say(f"report: {page}")
+            say(f"  note: {warning}")
+    say(f"report: {page}")
 
 
-@app.command()
-def info(log: LogArgument) -> None:
-    """Say what a log holds: channels, rates, gaps, losses, identity."""
-    from slam.inspect import describe_log
-
-    typer.echo(describe_log(log))
-
-
-@app.command()
-def doctor(
-    log: LogArgument,
-    json_: Annotated[
-        Path | None, typer.Option("--json", help="File for the findings, for programs.")
-    ] = None,
-) -> None:
-    """Say what is odd about a log; exit code 3 on warnings, 1 on errors."""
-    from slam.inspect import examine_log
-
-    text, code = examine_log(log, json_)
-    typer.echo(text)
-    if code:
-        raise typer.Exit(code)
-
-
-@app.command()
-def recover(
-    file: Annotated[
-        Path, typer.Argument(help="A log that was not closed, or is damaged.", readable=False)
-    ],
-    out: Annotated[Path, typer.Option(help="Sound log to write (.mcap).")],
-) -> None:
-    """Save what is intact of a damaged log; exit code 3 if anything was lost."""
-    from logs.recover import recover as recover_log
-
-    found = recover_log(file, out)
-    _say(f"{out}: {sum(found.messages.values())} messages saved")
-    for problem in found.problems:
-        _say(f"  {problem}")
-    if found.lost:
-        raise typer.Exit(LOSS)
-
-
-@app.command()
-def export(
-    source: Annotated[Path, typer.Argument(help="An MCAP log, or a RUN.", readable=False)],
-    ros2: Annotated[Path | None, typer.Option(help="ROS 2 bag (folder) to make.")] = None,
-    carmen: Annotated[Path | None, typer.Option(help="CARMEN log to write.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Folder of tables to make.")] = None,
-    tum: Annotated[Path | None, typer.Option(help="TUM trajectory to write.")] = None,
-    g2o: Annotated[Path | None, typer.Option(help="Graph to write, of a RUN.")] = None,
-    poses: Annotated[
-        str,
-        typer.Option(
-            help="What --tum writes: odometry or truth of a log, trajectory, keyframes or "
-            "odometry of a RUN; the first of these if not said."
-        ),
-    ] = "",
-) -> None:
-    """Write a log or a RUN in foreign formats, one or several at once."""
-    from slam.exports import Targets
-    from slam.exports import export as run_export
-
-    targets = Targets(ros2=ros2, carmen=carmen, csv=csv, tum=tum, g2o=g2o, poses=poses)
-    if not targets.paths():
-        raise typer.BadParameter("say what to write: --ros2, --carmen, --csv, --tum or --g2o")
-    done = run_export(source, targets)
-    for line in done.written:
-        _say(line)
-    _exit_on_loss(done.lost, "lost")
-
-
-@app.command()
 def reoptimise(
     source: Annotated[Path, typer.Argument(help="RUN directory, or a g2o file.")],
     out: Annotated[Path, typer.Option(help="RUN directory to make.")],
@@ -262,14 +130,13 @@ def reoptimise(
 
     summary = run_reoptimise(source, out, config, set_ or [])
     loops = summary["loops"]
-    _say(
+    say(
         f"{out}: {summary['keyframes']} poses, {summary['edges']} edges, "
         f"error {summary['error_before']:.4g} -> {summary['error_after']:.4g}, "
         f"{loops['rejected']} of {loops['candidates']} loops refused"
     )
 
 
-@app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
     direct: Annotated[
@@ -279,10 +146,9 @@ def demo(
     """Drive the paper's test bed on simulated devices; compare SDP-PE with constant intervals."""
     from slam.demo import run_demo
 
-    run_demo(out, _say, direct)
+    run_demo(out, say, direct)
 
 
-@app.command()
 def bench(
     name: Annotated[
         str,
@@ -303,19 +169,7 @@ def bench(
     """Measure, print a table and write NAME.json."""
     from slam.benchmarks import run_bench
 
-    run_bench(name, out, data, quick, _say, workers)
-
-
-def _say(text: str) -> None:
-    """Talk goes to stderr, so that stdout holds results alone."""
-    typer.echo(text, err=True)
-
-
-def _exit_on_loss(lost: Any, word: str) -> None:
-    for cause, count in lost.items():
-        _say(f"  {word}: {count} {cause}")
-    if lost:
-        raise typer.Exit(LOSS)
+    run_bench(name, out, data, quick, say, workers)
 
 
 def _tell_summary(out: Path, summary: dict[str, Any]) -> None:
@@ -344,6 +198,27 @@ def _tell_figures(figures: dict[str, Any]) -> None:
         )
 
 
+COMMANDS: dict[str, Callable[..., None]] = {
+    "simulate": simulate,
+    "import": import_,
+    "online": online,
+    "replay": replay,
+    "report": report,
+    "info": info,
+    "doctor": doctor,
+    "recover": recover,
+    "export": export,
+    "reoptimise": reoptimise,
+    "batch": batch,
+    "tune": tune,
+    "bench": bench,
+    "demo": demo,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(command)
+app.add_typer(drivers_app, name="drivers")
+
+
 class _Signalled(BaseException):
     """A signal to stop, as an exception, so that files are closed on the way out."""
 
@@ -366,11 +241,11 @@ def main() -> None:
         # A library that was being loaded may have made another error of the signal.
         if _received:
             word = "interrupted" if _received[0] == signal.SIGINT else "terminated"
-            _say(f"slam: {word}; nothing half-written is left")
+            say(f"slam: {word}; nothing half-written is left")
             raise SystemExit(128 + _received[0]) from None
         if not isinstance(error, Exception) or not (line := _line(error)):
             raise
-        _say(f"slam: {line}")
+        say(f"slam: {line}")
         raise SystemExit(1) from error
 
 

@@ -10,9 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
+from slam.cli_output import LOSS, say
 from slam.errors import RunError
-
-_LOSS = 3  # exit code: finished, but something failed or was lost
 
 _Workers = Annotated[
     int | None,
@@ -60,10 +59,10 @@ def batch(
 
     grid = make_grid(config, set_ or [])
     with engine(_count(workers, scheduler), scheduler) as client:
-        rows = run_batch(Batch(logs, grid, out, truth), client, _say)
+        rows = run_batch(Batch(logs, grid, out, truth), client, say)
     for line in lines(rows, grid):
         typer.echo(line)
-    _say(f"report: {out / 'report.html'}, table: {out / 'table.parquet'}")
+    say(f"report: {out / 'report.html'}, table: {out / 'table.parquet'}")
     _exit_on_loss(rows)
 
 
@@ -121,28 +120,28 @@ def tune(
         load_config(config, [*(set_ or []), *(against or [])]), plan, out, truth, storage,
     )  # fmt: skip
     with engine(_count(workers, scheduler), scheduler) as client:
-        tuned = run_tune(tuning, client, _say)
+        tuned = run_tune(tuning, client, say)
     write_tuned(tuned)
     for line in summary_lines(tuned):
         typer.echo(line)
-    _say(f"configuration: {out / 'config.toml'}")
+    say(f"configuration: {out / 'config.toml'}")
     unjudged = [entry.log for entry in tuned.scoring if not math.isfinite(entry.found.error_m)]
     for log in unjudged:
-        _say(f"  failed: {log}, or it has no truth for the objective")
+        say(f"  failed: {log}, or it has no truth for the objective")
     if unjudged:
-        raise typer.Exit(_LOSS)
+        raise typer.Exit(LOSS)
 
 
 def _exit_on_loss(rows: list[dict[str, Any]]) -> None:
     """Say each reason once, with the number of its rows."""
     failed = Counter(row["reason"] for row in rows if row["status"] != "ok")
     for reason, count in failed.items():
-        _say(f"  failed: {count} x {reason}")
+        say(f"  failed: {count} x {reason}")
     lost = Counter(f"{row['log']}: {row['losses']}" for row in rows if row["lost"])
     for losses, count in lost.items():
-        _say(f"  lost: {count} x {losses}")
+        say(f"  lost: {count} x {losses}")
     if failed or lost:
-        raise typer.Exit(_LOSS)
+        raise typer.Exit(LOSS)
 
 
 def _count(workers: int | None, scheduler: str | None) -> int:
@@ -165,7 +164,3 @@ def _need_the_extra() -> None:
         raise RunError(
             f"{error.name} is not installed: pip install 'sdp-slam[batch]' brings it"
         ) from error
-
-
-def _say(text: str) -> None:
-    typer.echo(text, err=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slam.cli_output import LOSS
 from slam.cli_view import (
     LOCAL,
     PORT,
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from slam.onboard.status import Status
 
 drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
-_LOSS = 3  # exit code: finished, but data was lost
 _QUIET_S = 5.0  # s between progress lines where stderr is no terminal
 
 
@@ -64,7 +64,7 @@ def online(
     for cause, count in summary["lost"].items():
         _say(f"  lost: {count} {cause}")
     typer.echo(f"{out}: {summary['scans']} scans, {summary.get('keyframes', 0)} keyframes")
-    code = request.exit_code or (_LOSS if summary["lost"] else 0)
+    code = request.exit_code or (LOSS if summary["lost"] else 0)
     if code:
         raise typer.Exit(code)
 
