@@ -205,8 +205,9 @@ class Hokuyo:
                 self._link.drain(0.14, 1.0)  # urg_library's 140 ms
                 return
         raise NoReply(
-            f"no Hokuyo answers on {self._config.port}. Is it powered (its lamp lights steadily "
-            "when it is ready, up to 30 s after power-on; blinking means a fault)?"
+            f"no Hokuyo answers on {self._config.port}. Is this the port of the laser, and is it "
+            "powered (its lamp lights steadily when it is ready, up to 30 s after power-on; "
+            "blinking means a fault)?"
         )
 
     def _is_calm(self, tries: int) -> bool:

@@ -221,8 +221,9 @@ class Pioneer:
             self._send(Id.CLOSE)
             self._link.drain(0.25, 2.0)
         raise NoReply(
-            f"no Pioneer answers on {self._config.port}. Is the robot switched on, is the cable in "
-            "its HOST port, and does no other computer (a built-in PC) use that port?"
+            f"no Pioneer answers on {self._config.port}. Is this the port of the robot, is it "
+            "switched on, is the cable in its HOST port, and does no other computer (a built-in "
+            "PC) use that port?"
         )
 
     def _bauds_to_try(self, known: bool) -> list[int]:
@@ -285,7 +286,7 @@ class Pioneer:
             return
         slow = self._baud
         self._send(Id.HOSTBAUD, BAUD_CODES[fast])
-        self._link.drain(0.01, 0.01)
+        self._link.drain(0.03, 0.03)  # 9 ms on the line, and 10 ms for the robot
         self._use_baud(fast)
         self._send(Id.PULSE)
         if not self._await_report(0.9):

@@ -158,6 +158,8 @@ def _serial_advice(name: str, error: Exception) -> str:
             f"{name} is in use by another program. `fuser -v {name}` names it; "
             "ModemManager holds new ports for half a minute."
         )
+    if "Inappropriate ioctl" in text:
+        return f"{name} is no serial port."
     return f"{name} cannot be opened: {text}"
 
 

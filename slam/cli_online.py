@@ -94,6 +94,39 @@ def probe(
         raise typer.Exit(1)
 
 
+@drivers_app.command()
+def simulate(
+    world: Annotated[str, typer.Option(help="Where the robot is.")] = "office",
+    robot: Annotated[str, typer.Option(help="p3dx-sh or p3dx.")] = "p3dx-sh",
+    laser: Annotated[
+        str, typer.Option(help="utm-30lx, utm-30lx-ew, ust-10lx, ust-20lx or urg-04lx.")
+    ] = "utm-30lx",
+    baud: Annotated[int, typer.Option(help="Speed with which the robot starts.")] = 9600,
+    robot_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port; 0: a pseudo-terminal.")
+    ] = 0,
+    laser_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port; 0: a pseudo-terminal.")
+    ] = 0,
+    drive: Annotated[
+        bool, typer.Option(help="Drive by itself once both are read; else obey the client.")
+    ] = False,
+    folder: Annotated[
+        Path | None, typer.Option(help="Where the pseudo-terminals get their names.")
+    ] = None,
+) -> None:
+    """Simulate a robot and a laser, for `slam online` or any other program, until Ctrl-C."""
+    from slam.onboard.simulated_devices import SimulatedDevices
+    from slam.onboard.stop_request import StopRequest
+
+    devices = SimulatedDevices(
+        world=world, robot=robot, laser=laser, baud=baud, robot_port=robot_port,
+        laser_port=laser_port, drives=drive, folder=folder,
+    )  # fmt: skip
+    with StopRequest() as request:
+        devices.serve(request, typer.echo)
+
+
 class _Timer:
     """Runs from the first look at it, which is when the recording has begun."""
 

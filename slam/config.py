@@ -103,14 +103,25 @@ def _apply(data: dict[str, Any], override: str) -> None:
     table[name] = value
 
 
+def _section_note(kind: type[BaseModel], location: str) -> str:
+    """What a section must hold, in brackets; nothing for a single setting."""
+    field = kind.model_fields.get(location)
+    section = field.annotation if field is not None else None
+    if not (isinstance(section, type) and issubclass(section, BaseModel)):
+        return ""
+    needed = [name for name, one in section.model_fields.items() if one.is_required()]
+    return f" (a section: write [{location}], and {', '.join(needed)} in it)"
+
+
 def describe(error: ValidationError, kind: type[BaseModel] = SlamConfig) -> str:
     """The first problem in one line; for an unknown key, the nearest known one of `kind`."""
-    first = error.errors()[0]
+    # An unknown name first: it may be the one that is missing, with a slip in it.
+    first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
     location = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         return f"unknown setting {location}{nearest(location, known_keys(kind))}"
     if first["type"] == "missing":
-        return f"{location} is missing: it has no usual value"
+        return f"{location}{_section_note(kind, location)} is missing: it has no usual value"
     if first["type"] == "model_type":
         return f"{location} is a section: set {location}.NAME (got {first['input']!r})"
     if first["type"] == "value_error":  # of several settings together

@@ -115,6 +115,8 @@ def _map(
     account: dict[str, Any], began: tuple[float, float], watcher: Watcher,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
+    if not live.intake.scans:
+        raise SlamError("no scan came in: the recording is kept, the map is not made")
     if slam.scan_stamps_ns and not live.has_odometry:
         raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
 

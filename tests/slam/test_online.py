@@ -334,3 +334,29 @@ def test_probe_names_both_devices_and_a_missing_one(simulated, tmp_path):
     assert "UTM-30LX" in out
     assert "clock offset" in out
     assert "does not exist" in out
+
+
+def test_devices_that_are_simulated_for_others_can_be_probed(tmp_path):
+    simulator = command("drivers", "simulate", "--world", "testbed", "--folder", tmp_path)
+    try:
+        wait_for(lambda: (tmp_path / "laser").exists())
+        asked = command("drivers", "probe", "--seconds", 0.5, tmp_path / "p3dx", tmp_path / "laser")
+        code, out, talk = finished(asked)
+        assert code == 0, out + talk
+        assert "UTM-30LX" in out
+    finally:
+        simulator.send_signal(signal.SIGINT)
+    code, out, _ = finished(simulator)
+    assert code == 0
+    assert str(tmp_path / "p3dx") in out
+
+
+def test_what_cannot_be_simulated_is_refused(tmp_path):
+    for option, value, words in (
+        ("--world", "ofice", "unknown scenario"),
+        ("--laser", "utm-30", "did you mean utm-30lx"),
+        ("--robot", "b21", "no such robot"),
+    ):
+        code, _, talk = finished(command("drivers", "simulate", option, value))
+        assert code == 1
+        assert words in talk

@@ -59,7 +59,11 @@ def test_pipeline_settings_have_a_section_and_a_short_name(load):
 @pytest.mark.parametrize(
     ("text", "override", "words"),
     [
-        ("[robot]\nport = '/dev/a'\n[mount]\nx = 0\n", None, "laser is missing"),
+        (
+            "[robot]\nport = '/dev/a'\n[mount]\nx = 0\n",
+            None,
+            r"laser \(a section: write \[laser\], and port in it\) is missing",
+        ),
         (PLAIN, "laser.skp=3", "did you mean laser.skip?"),
         (PLAIN, "robot.motion=true", "unknown setting robot.motion"),
         (PLAIN + "[slam.keyframs]\nmethod='constant'\n", None, "did you mean slam.keyframes"),
