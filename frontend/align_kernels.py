@@ -6,8 +6,12 @@ import numpy as np
 from numba import njit
 
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
+from frontend.evidence_kernels import discount_weak_axis, step_back
 from frontend.icp_kernels import SYSTEM, gauss_newton
 from frontend.scatter_kernels import scatter
+
+
+TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
 
 
 @njit(cache=True, nogil=True)
@@ -46,19 +50,48 @@ def align(
     """
     known = np.empty((3, 3))
     invert3(prior_covariance, known)
-    pull = known if has_prior else np.zeros((3, 3))
+    pull = known.copy() if has_prior else np.zeros((3, 3))
+    centre = prior.copy()
     partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
     gradient = np.empty(6)
     size, count = 0.0, 0
-    for k in range(len(passes)):
-        beams = int(passes[k, 3])
-        partners[:] = -1  # beams that this pass leaves out have none
-        stride = max(1, len(source_points) // beams) if beams > 0 else 1
-        size, used = gauss_newton(
+    last = len(passes) - 1
+    axis, begin = np.zeros(4), 0
+    for attempt in range(3):
+        for k in range(begin, last + 1):
+            beams = int(passes[k, 3])
+            partners[:] = -1  # beams that this pass leaves out have none
+            stride = max(1, len(source_points) // beams) if beams > 0 else 1
+            size, used = gauss_newton(
+                source_points,
+                source_lines,
+                source_flags,
+                stride,
+                points,
+                lines,
+                flags,
+                starts,
+                geometries,
+                reach2,
+                poses,
+                pose,
+                centre,
+                pull,
+                # Far pairs are wrong by as much as their pass allows: they push no harder
+                # against the prior than that.
+                noise * passes[k, 1] / passes[last, 1],
+                passes[k, 0],
+                passes[k, 1],
+                iterations,
+                passes[k, 2],
+                partners,
+                system,
+            )
+            count += used
+        share = discount_weak_axis(
             source_points,
             source_lines,
             source_flags,
-            stride,
             points,
             lines,
             flags,
@@ -67,17 +100,24 @@ def align(
             reach2,
             poses,
             pose,
-            prior,
-            pull,
-            noise,
-            passes[k, 0],
-            passes[k, 1],
-            iterations,
-            passes[k, 2],
+            passes[last, 0],
+            passes[last, 1],
             partners,
             system,
+            axis,
         )
-        count += used
+        # Where the scans only seem to know, the pose goes back to the prior, and is held there
+        # if it slides off again.
+        if not has_prior or share >= TRUSTED_SHARE or attempt == 2:
+            break
+        step_back(pose, prior, known, noise, axis)
+        begin = last
+        if attempt == 1:
+            centre[:] = pose
+            hold = system[0] + system[3]
+            for k in range(2):
+                for m in range(2):
+                    pull[k, m] += hold / (noise * noise) * axis[k] * axis[m]
     surplus = scatter(
         source_points,
         source_flags,

@@ -1,0 +1,152 @@
+"""Numba kernel that asks whether the weak axis of a match is seen, or only seems to be."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from frontend.icp_kernels import COST, FEIGNED, PAIRS, SYSTEM, TRIED, accumulate, eigen2
+
+WEAK = 0.1  # share of the strong axis' information, below which the weak axis has to prove its own
+SHIFT = 2.0  # robust scales to either side at which the proof is taken
+DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
+
+
+@njit(cache=True, nogil=True)
+def discount_weak_axis(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    gate,
+    scale,
+    partners,
+    system,
+    axis,
+):
+    """Add to the feigned information in `system` what the weak axis claims and cannot show.
+
+    Returns the share of its claim that the axis keeps; fills `axis` (4,) with the axis as a step
+    (x, y, theta) in the source frame, a metre long, and the information (unit noise) left there.
+
+    Held to its pairs, a scan that is shifted along an axis it sees costs more, and it still does
+    when each beam may choose its partner anew.  Along a wall whose normals are noisy, or which
+    bows, the first holds and the second does not: the next piece of wall serves as well.  So
+    the axis keeps the share of its information that the cost with free partners bears out, after
+    the strongest few pairs are left out: what they say alone may be a single wrong pair.
+    """
+    turn = max(system[5], 1e-300)
+    xx = system[0] - system[2] * system[2] / turn - system[FEIGNED]
+    xy = system[1] - system[2] * system[4] / turn - system[FEIGNED + 1]
+    yy = system[3] - system[4] * system[4] / turn - system[FEIGNED + 2]
+    low, high, angle = eigen2(xx, xy, yy)
+    if not 0.0 < low < WEAK * high:
+        return 1.0
+    x, y = np.cos(angle), np.sin(angle)
+    t = -(system[2] * x + system[4] * y) / turn  # the heading that goes with a shift along it
+    shift = SHIFT * scale
+    held, alone = held_rise(
+        source_points, lines, poses, pose, partners, scale, shift * x, shift * y, shift * t
+    )
+    spare, transforms = np.empty_like(partners), np.empty((len(poses), 4))
+    sums = np.zeros(SYSTEM)
+    free = 0.0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for side in (-1.0, 0.0, 1.0):
+        ax, ay = side * shift * x, side * shift * y
+        accumulate(
+            source_points,
+            source_lines,
+            source_flags,
+            1,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose[0] + c * ax - s * ay,
+            pose[1] + s * ax + c * ay,
+            pose[2] + side * shift * t,
+            gate,
+            scale,
+            True,
+            spare,
+            transforms,
+            sums,
+        )
+        # A beam without partner costs what a far one does, wherever it lies.
+        cost = sums[COST] + scale * scale * (len(poses) * sums[TRIED] - sums[PAIRS])
+        free += cost if side != 0.0 else -2.0 * cost
+    share = min(max(free / max(held, 1e-300), 0.0), 1.0)
+    left = share * max(low - alone, 0.0)
+    surplus = low - left
+    system[FEIGNED] += surplus * x * x
+    system[FEIGNED + 1] += surplus * x * y
+    system[FEIGNED + 2] += surplus * y * y
+    axis[0], axis[1], axis[2], axis[3] = x, y, t, left
+    return left / low
+
+
+@njit(cache=True, nogil=True)
+def step_back(pose, prior, information, noise, axis):
+    """Move `pose` (3,) along `axis` to where the prior, weighed against what is left, puts it."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    dx, dy = pose[0] - prior[0], pose[1] - prior[1]
+    e0, e1 = c * dx + s * dy, c * dy - s * dx
+    e2 = pose[2] - prior[2]
+    e2 -= 2.0 * np.pi * np.round(e2 / (2.0 * np.pi))
+    pull, stiff = 0.0, axis[3] / (noise * noise)
+    for k in range(3):
+        pull += axis[k] * (
+            information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2
+        )
+        for m in range(3):
+            stiff += axis[k] * information[k, m] * axis[m]
+    size = -pull / stiff
+    pose[0] += size * (c * axis[0] - s * axis[1])
+    pose[1] += size * (s * axis[0] + c * axis[1])
+    pose[2] += size * axis[2]
+
+
+@njit(cache=True, nogil=True)
+def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
+    """Second difference of the robust cost over +-(dx, dy, dt) in the source frame, pairs held.
+
+    Also returns the information along that direction that the strongest few pairs hold.
+    """
+    inverse_scale2 = 1.0 / (scale * scale)
+    rise = 0.0
+    strongest = np.zeros(DOUBTED_PAIRS)
+    for ref in range(len(poses)):
+        c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
+        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
+        ux, uy = pose[0] - poses[ref, 0], pose[1] - poses[ref, 1]
+        tx, ty = cr * ux + sr * uy, cr * uy - sr * ux
+        for i in range(len(source_points)):
+            j = partners[ref, i]
+            if j < 0:
+                continue
+            qx, qy = source_points[i, 0], source_points[i, 1]
+            nx, ny = lines[j, 0], lines[j, 1]
+            ax, ay = c * nx + s * ny, c * ny - s * nx
+            r = nx * (c * qx - s * qy + tx) + ny * (s * qx + c * qy + ty) - lines[j, 2]
+            slope = ax * dx + ay * dy + (ay * qx - ax * qy) * dt
+            before, after = (r - slope) * (r - slope), (r + slope) * (r + slope)
+            r2 = r * r
+            root = 1.0 / (1.0 + r2 * inverse_scale2)
+            rise += before / (1.0 + before * inverse_scale2)
+            rise += after / (1.0 + after * inverse_scale2) - 2.0 * r2 * root
+            told = root * root * slope * slope
+            for k in range(DOUBTED_PAIRS):  # insert into the descending list
+                if told > strongest[k]:
+                    told, strongest[k] = strongest[k], told
+    return rise, strongest.sum() / (dx * dx + dy * dy)
