@@ -7,8 +7,8 @@ from numba import njit
 
 from frontend.icp_kernels import COST, FEIGNED, PAIRS, SYSTEM, TRIED, accumulate, eigen2
 
-WEAK = 0.1  # share of the strong axis' information, below which the weak axis has to prove its own
-SHIFT = 2.0  # robust scales to either side at which the proof is taken
+WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
+SHIFT = 3.0  # robust scales to either side at which the proof is taken
 DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
 
 
