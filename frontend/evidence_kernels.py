@@ -52,7 +52,7 @@ def discount_weak_axis(
     x, y = np.cos(angle), np.sin(angle)
     t = -(system[2] * x + system[4] * y) / turn  # the heading that goes with a shift along it
     shift = SHIFT * scale
-    held, alone = held_rise(
+    held, alone, chance = held_rise(
         source_points, lines, poses, pose, partners, scale, shift * x, shift * y, shift * t
     )
     spare, transforms = np.empty_like(partners), np.empty((len(poses), 4))
@@ -86,7 +86,7 @@ def discount_weak_axis(
         # A beam without partner costs what a far one does, wherever it lies.
         cost = sums[COST] + scale * scale * (len(poses) * sums[TRIED] - sums[PAIRS])
         free += cost if side != 0.0 else -2.0 * cost
-    share = min(max(free / max(held, 1e-300), 0.0), 1.0)
+    share = min(max((free - chance) / max(held, 1e-300), 0.0), 1.0)
     left = share * max(low - alone, 0.0)
     surplus = low - left
     system[FEIGNED] += surplus * x * x
@@ -121,10 +121,11 @@ def step_back(pose, prior, information, noise, axis):
 def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
     """Second difference of the robust cost over +-(dx, dy, dt) in the source frame, pairs held.
 
-    Also returns the information along that direction that the strongest few pairs hold.
+    Also returns the information along that direction that the strongest few pairs hold, and by
+    how much the cost may change by chance when every beam draws another residual.
     """
     inverse_scale2 = 1.0 / (scale * scale)
-    rise = 0.0
+    rise, squares = 0.0, 0.0
     strongest = np.zeros(DOUBTED_PAIRS)
     for ref in range(len(poses)):
         c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
@@ -145,8 +146,9 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
             root = 1.0 / (1.0 + r2 * inverse_scale2)
             rise += before / (1.0 + before * inverse_scale2)
             rise += after / (1.0 + after * inverse_scale2) - 2.0 * r2 * root
+            squares += r2 * r2 * root * root
             told = root * root * slope * slope
             for k in range(DOUBTED_PAIRS):  # insert into the descending list
                 if told > strongest[k]:
                     told, strongest[k] = strongest[k], told
-    return rise, strongest.sum() / (dx * dx + dy * dy)
+    return rise, strongest.sum() / (dx * dx + dy * dy), np.sqrt(squares)

@@ -1,14 +1,17 @@
 """The covariance against the truth: noise repeated at one place, and whole campaigns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gtsam import Pose2
 
 from drivers.simulators.robot import drive
+from drivers.simulators.world import World
 from drivers.simulators.worlds import scenario
 from frontend.matching import MatchConfig
 from slam.bench.consistency import WORLDS, consistency
-from tests.frontend.scans import HOKUYO, error_of, match_one, prior_at, see
+from tests.frontend.scans import ENDLESS, HOKUYO, error_of, match_one, prior_at, see
 
 MOTION = Pose2(0.3, 0.02, 0.1)
 REPEATS = 150
@@ -64,6 +67,44 @@ def test_the_floor_bounds_what_is_claimed():
     result = match_one(target, source, MOTION, floor_trans=0.01, floor_rot=0.005)
     assert min(result.sigmas[:2]) >= 0.01
     assert result.sigmas[2] >= 0.005
+
+
+def bare_corridor(sigma, repeats=60):
+    """Errors along a corridor without features and the sigmas claimed for them, m."""
+    rough, odometry = replace(HOKUYO, sigma=sigma), np.array([0.1, 0.03, 0.02])
+    errors, sigmas = [], []
+    for k in range(repeats):
+        guess = MOTION * Pose2(*np.random.default_rng(900 + k).normal(size=3) * odometry)
+        target = see(Pose2(), rough, 2 * k, ENDLESS)
+        source = see(MOTION, rough, 2 * k + 1, ENDLESS)
+        result = match_one(target, source, guess, prior_at(guess, odometry))
+        errors.append(error_of(result, MOTION)[0])
+        sigmas.append(result.sigmas[0])
+    return np.array(errors), np.array(sigmas)
+
+
+def test_rough_walls_do_not_tell_where_along_them_the_robot_is():
+    """Twice the noise that the matcher knows of: normals feign four times what is expected.
+
+    Believing them claims 10 mm, and is wrong by 100.
+    """
+    errors, sigmas = bare_corridor(sigma=0.020)
+    assert np.median(sigmas) > 0.05  # the odometry's 0.1 m, or near it
+    assert np.mean(np.abs(errors) < 3.0 * sigmas) > 0.85
+    errors, sigmas = bare_corridor(sigma=0.010)
+    assert sigmas.min() > 0.09
+    assert np.mean(np.abs(errors) < 3.0 * sigmas) > 0.98
+
+
+def test_one_end_wall_is_proof_enough():
+    walls = [[-90.0, 1.0, 5.0, 1.0], [-90.0, -1.0, 5.0, -1.0], [5.0, -1.0, 5.0, 1.0]]
+    world = World(np.array(walls))
+    target, source = see(Pose2(), seed=1, world=world), see(MOTION, seed=2, world=world)
+    off = MOTION * Pose2(0.15, 0.0, 0.0)
+    result = match_one(target, source, off, prior_at(off, [0.1, 0.03, 0.02]))
+    assert result.weak_axis is None
+    assert result.sigmas[0] < 0.004
+    assert abs(error_of(result, MOTION)[0]) < 3.0 * result.sigmas[0]
 
 
 @pytest.mark.slow
