@@ -14,7 +14,7 @@ from frontend.scatter_kernels import scatter
 TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def align(
     source_points,
     source_lines,
@@ -120,7 +120,6 @@ def align(
                     pull[k, m] += hold / (noise * noise) * axis[k] * axis[m]
     surplus = scatter(
         source_points,
-        source_flags,
         source_geometry,
         points,
         lines,

@@ -12,7 +12,7 @@ SHIFT = 3.0  # robust scales to either side at which the proof is taken
 DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def discount_weak_axis(
     source_points,
     source_lines,
@@ -96,7 +96,7 @@ def discount_weak_axis(
     return left / low
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_back(pose, prior, information, noise, axis):
     """Move `pose` (3,) along `axis` to where the prior, weighed against what is left, puts it."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -117,7 +117,7 @@ def step_back(pose, prior, information, noise, axis):
     pose[2] += size * axis[2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
     """Second difference of the robust cost over +-(dx, dy, dt) in the source frame, pairs held.
 

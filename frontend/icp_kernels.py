@@ -26,7 +26,7 @@ FITTING = 18  # source beams that fit any reference
 SYSTEM = 19
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def bearing_of(y, x):
     """atan2 to 2e-4 rad, enough to find the beam where the search begins."""
     ax, ay = abs(x), abs(y)
@@ -46,12 +46,12 @@ def bearing_of(y, x):
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     """Index (from `first`) of the point nearest to (px, py) and its squared distance.
 
     Walks outwards in bearing from the beam that looks at (px, py); a point seen k beams away is
-    at least r sin((k - 1) step) far, one beam of slack for rounding, which ends the walk.
+    at least r sin((k - 1/2) step) far, less what `bearing_of` errs, which ends the walk.
     The walk goes round the whole circle, also where it has no beams, for what lies outside the
     field of view may be nearest to either end of it.
     `reach2` (1 or references, m) holds sin^2 of those angles up to 90 degrees.  (-1, gate2) if
@@ -69,18 +69,32 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     centre = int(turn / step + 0.5)
     if centre >= whole:
         centre -= whole
-    best, best2, nearest = -1, gate2, 1
+    best, best2, k = -1, gate2, 1
+    row, last = min(ref, len(reach2) - 1), reach2.shape[1] - 1
+    farthest = min(whole // 2, n)
     if centre >= n:  # outside the field of view: there is nothing before the nearer end
-        nearest = min(centre - n + 1, whole - centre)
+        k = min(centre - n + 1, whole - centre)
+        farthest = min(whole // 2, k + n - 1)
     else:
         dx, dy = points[first + centre, 0] - px, points[first + centre, 1] - py
         d2 = dx * dx + dy * dy
         if d2 < best2:
             best, best2 = centre, d2
-    row, last = min(ref, len(reach2) - 1), reach2.shape[1] - 1
-    for k in range(nearest, min(whole // 2, nearest + n - 1) + 1):
-        if r2 * reach2[row, min(k, last)] > best2:
-            break
+        # Nearly all walks end where there are beams on both sides.  No branches on distances: the
+        # processor could not foresee them.
+        inner = min(min(centre, n - 1 - centre), min(last, farthest))
+        at = first + centre
+        while k <= inner and r2 * reach2[row, k] <= best2:
+            dx, dy = points[at + k, 0] - px, points[at + k, 1] - py
+            d2 = dx * dx + dy * dy
+            dx, dy = points[at - k, 0] - px, points[at - k, 1] - py
+            e2 = dx * dx + dy * dy
+            best = centre + k if d2 < best2 else best
+            best2 = d2 if d2 < best2 else best2
+            best = centre - k if e2 < best2 else best
+            best2 = e2 if e2 < best2 else best2
+            k += 1
+    while k <= farthest and not r2 * reach2[row, min(k, last)] > best2:
         up, down = centre + k, centre - k
         if up >= whole:
             up -= whole
@@ -96,10 +110,11 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
             d2 = dx * dx + dy * dy
             if d2 < best2:
                 best, best2 = down, d2
+        k += 1
     return best, best2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
     source_points,
     source_lines,
@@ -211,7 +226,7 @@ def accumulate(
     system[PAIRED], system[FITTING] = beams_paired, beams_fitting
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def eigen2(a, b, c):
     """Smaller and larger eigenvalue of [[a, b], [b, c]] and the direction (rad) of the smaller."""
     half = 0.5 * (a + c)
@@ -220,7 +235,7 @@ def eigen2(a, b, c):
     return half - root, half + root, 0.5 * np.arctan2(2.0 * b, a - c) + 0.5 * np.pi
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def quiet_blind_axis(system):
     """Shrink the gradient along the axis that only noisy normals seem to see.
 
@@ -244,7 +259,7 @@ def quiet_blind_axis(system):
         system[7] -= along * y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve3(a, g, step):
     """Solve the 3x3 system (upper triangle a, 6) for -g by Cholesky; False if singular."""
     if not a[0] > 0.0:
@@ -269,7 +284,7 @@ def solve3(a, g, step):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gauss_newton(
     source_points,
     source_lines,

@@ -133,7 +133,7 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
         system[FEIGNED + 1] -= lines[at, 3] * nx * ny
         system[FEIGNED + 2] += lines[at, 3] * nx * nx
         scale = np.sqrt(now * now + shared * then * then)
-        add_outer(gradient, scale * nx, scale * ny, scale * turn)
+        add_outer(gradient, 1.0, scale * nx, scale * ny, scale * turn)
         paired += 1
     return paired
 

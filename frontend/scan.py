@@ -61,7 +61,7 @@ class PreparedScan:
     geometry: NDArray[np.float64]  # (5,) angle_min, angle_step (> 0), origin x, y, beams in a turn
     valid: int  # beams with a point
     centre: NDArray[np.float64]  # (2,) m, mean of the nearer points: what the scan looks at
-    reach2: NDArray[np.float64]  # (REACH,) sin^2 of the angle that k - 1 beams make, to 90 deg
+    reach2: NDArray[np.float64]  # (REACH,) sin^2 of the least angle to beam k, to 90 deg
 
     @property
     def ranges(self) -> NDArray[np.float64]:
@@ -70,13 +70,17 @@ class PreparedScan:
         return np.hypot(offsets[:, 0], offsets[:, 1])
 
 
+SLACK = 3e-4  # rad, more than the error of `bearing_of`
 REACH = 384  # beams: 90 degrees and more at 0.25 degrees
 
 
 @lru_cache(maxsize=64)
 def reach_table(step: float) -> NDArray[np.float64]:
-    """(REACH,) sin^2 of the angle that k - 1 beams of `step` (rad) make, at most 1."""
-    angles = np.maximum(np.arange(REACH) - 1, 0) * step
+    """(REACH,) sin^2 of the least angle to the k-th beam from the nearest, at most 1.
+
+    The nearest beam of `step` (rad) is up to half a step off, and its bearing is known to SLACK.
+    """
+    angles = np.maximum((np.arange(REACH) - 0.5) * step - SLACK, 0.0)
     table: NDArray[np.float64] = np.sin(np.minimum(angles, 0.5 * np.pi)) ** 2
     table.setflags(write=False)
     return table
