@@ -106,9 +106,7 @@ def step_back(pose, prior, information, noise, axis):
     e2 -= 2.0 * np.pi * np.round(e2 / (2.0 * np.pi))
     pull, stiff = 0.0, axis[3] / (noise * noise)
     for k in range(3):
-        pull += axis[k] * (
-            information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2
-        )
+        pull += axis[k] * (information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2)
         for m in range(3):
             stiff += axis[k] * information[k, m] * axis[m]
     size = -pull / stiff

@@ -111,9 +111,7 @@ def sum_runs(runs, points, lines, flags, first, origin, out):
         ux, uy = x - origin[0], y - origin[1]
         across = lines[t, 0] * ux + lines[t, 1] * uy
         weight = across * across / (ux * ux + uy * uy)
-        add_outer(
-            out, weight, g0 + x0 * x + y0 * y, g1 + x1 * x + y1 * y, g2 + x2 * x + y2 * y
-        )
+        add_outer(out, weight, g0 + x0 * x + y0 * y, g1 + x1 * x + y1 * y, g2 + x2 * x + y2 * y)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
