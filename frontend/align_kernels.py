@@ -10,7 +10,6 @@ from frontend.evidence_kernels import discount_weak_axis, step_back
 from frontend.icp_kernels import SYSTEM, gauss_newton
 from frontend.scatter_kernels import scatter
 
-
 TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
 
 
