@@ -137,8 +137,8 @@ def align(
         system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
     )
     combine(information, known, covariance)
-    axis, weakness = weakest_axis(information, prior_covariance)
-    return size, count, axis, weakness
+    weakest, weakness = weakest_axis(information, prior_covariance)
+    return size, count, weakest, weakness
 
 
 __all__ = ["SYSTEM", "align"]
