@@ -3,8 +3,18 @@
 import numpy as np
 import pytest
 
-from drivers.arcos_protocol import Id, encode_command, encode_packet
-from drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
+from drivers.arcos_protocol import Framer, Id, encode_command, encode_packet
+from drivers.arcos_reports import (
+    CONFIG,
+    ENCODER,
+    IO,
+    STANDARD,
+    Identity,
+    StandardReport,
+    decode_config,
+    encode_identity,
+    encode_standard,
+)
 from drivers.errors import NoReply, WrongDevice
 from drivers.hokuyo import Hokuyo, HokuyoConfig
 from drivers.pioneer import Pioneer, PioneerConfig
@@ -30,6 +40,79 @@ def test_arias_modem_words_before_sync0_are_skipped(robot_bench):
     bench = robot_bench()
     bench.line.to_device(b"WMS2\r" + encode_command(0), 0.0, 9600)
     assert [command.id for command in bench.device.commands] == [0]
+
+
+def packets(bench, seconds, baud=9600):
+    """All that comes within so many seconds of simulated time."""
+    framer, end, found = Framer(), bench.time.now_s + seconds, []
+    while bench.time.now_s < end:
+        bench.time.sleep(0.01)
+        found += framer.feed(bench.line.to_host(bench.time.now_s, baud), bench.time())
+    return found
+
+
+def tell(bench, number, argument=None, baud=9600):
+    bench.line.to_device(encode_command(number, argument), bench.time.now_s, baud)
+
+
+def test_aria_finds_what_it_waits_for_at_every_step(robot_bench):
+    """Its sequence on a serial line (section 1.3), with the answers that its source reads."""
+    bench = robot_bench()
+    bench.line.to_device(b"WMS2\r", 0.0, 9600)
+    for stage in (0, 1, 2):
+        tell(bench, stage)
+        [answer] = packets(bench, 0.1)
+        assert answer.id == stage
+    assert answer.payload[1:].split(b"\0")[1:] == [b"Pioneer", b"p3dx-sh", b""]
+    tell(bench, Id.OPEN, 1)
+    tell(bench, Id.CONFIG, 1)
+    [config] = [decode_config(p.payload) for p in packets(bench, 1.0) if p.id == CONFIG]
+    assert config.auto_baud == 2  # so it asks for the speed of its parameter file
+    tell(bench, Id.HOSTBAUD, 2)
+    bench.time.sleep(0.02)
+    tell(bench, Id.PULSE, baud=38400)
+    assert {p.id for p in packets(bench, 0.9, 38400)} <= set(STANDARD)
+    for number, argument in (
+        (Id.BATTERYINFO, 1), (Id.SETV, 3000), (Id.SETA, 300), (Id.SETA, -300), (Id.SETRV, 150),
+        (Id.SETRA, 100), (Id.SETRA, -100), (Id.ENCODER, 2), (Id.IOREQUEST, 2), (Id.ENABLE, 1),
+    ):  # fmt: skip
+        tell(bench, number, argument, 38400)
+    ids = [p.id for p in packets(bench, 1.0, 38400)]
+    # Encoders and inputs come behind the standard report of their cycle.
+    first = next(i for i, number in enumerate(ids) if number == ENCODER)
+    assert ids[first - 1] in STANDARD
+    assert ids[first + 1] == IO
+    tell(bench, Id.CLOSE, 1, 38400)
+    packets(bench, 0.2, 38400)
+    assert packets(bench, 1.0) == []
+    assert bench.device.baud == 9600  # an AutoBaud robot falls back
+
+
+def test_aria_closes_a_robot_that_was_left_open(robot_bench):
+    """It answers SYNC0 with a report, is told CLOSE with a number, and begins anew."""
+    bench = robot_bench()
+    for number in (0, 1, 2, 1):
+        tell(bench, number)
+    packets(bench, 0.5)
+    tell(bench, 0)
+    assert packets(bench, 0.3)[0].id in STANDARD
+    tell(bench, Id.CLOSE, 1)
+    packets(bench, 0.2)
+    for stage in (0, 1, 2):
+        tell(bench, stage)
+        assert [p.id for p in packets(bench, 0.1)] == [stage]
+
+
+def test_aria_dislodging_a_robot_that_is_not_connected_does_no_harm(robot_bench):
+    """After silences it sends CLOSE at all speeds, and OPEN: to this robot SYNC2 and SYNC1."""
+    bench = robot_bench()
+    for baud in (9600, 38400, 115200, 19200, 57600):
+        tell(bench, Id.CLOSE, 1, baud)
+    tell(bench, Id.OPEN, 1)
+    packets(bench, 0.5)
+    for stage in (0, 1, 2):
+        tell(bench, stage)
+        assert [p.id for p in packets(bench, 0.1)] == [stage]
 
 
 def test_a_laser_that_answers_while_it_boots_is_there_afterwards(laser_bench):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.arcos_protocol import BAUD_CODES, Id, checksum, encode_command
-from drivers.arcos_reports import decode_config, decode_encoders, decode_standard
+from drivers.arcos_reports import decode_config, decode_encoders, decode_io, decode_standard
 from drivers.scip_protocol import (
     Command,
     ReplyFramer,
@@ -100,6 +100,24 @@ def test_the_config_of_section_2_2_is_read_field_by_field():
     assert (config.rot_vel_top, config.trans_vel_top) == (360, 1000)
     assert (config.sip_cycle, config.host_baud, config.auto_baud) == (100, 2, 2)
     assert (config.rev_count, config.watchdog, config.ticks_mm) == (0x2003, 0x2004, 128)
+    assert (config.rot_acc_top, config.trans_acc_top, config.pwm_max) == (300, 2000, 500)
+    in_order = (
+        *("gripper", "front_sonar", "low_battery", "rev_count", "watchdog", "stall_val"),
+        *("stall_count", "joy_vel", "joy_rot_vel", "rot_vel_max", "trans_vel_max", "rot_acc"),
+        *("rot_decel", "rot_kp", "rot_kv", "rot_ki", "trans_acc", "trans_decel"),
+        *("trans_kp", "trans_kv", "trans_ki"),
+    )
+    assert [getattr(config, name) for name in in_order] == u16[:21]
+    assert (config.rear_sonar, config.charger, config.sonar_cycle, config.gyro) == (1, 1, 2, 0)
+    assert (config.drift_factor, config.firmware) == (-1, "3.0")
+
+
+def test_the_iopac_of_section_2_2_has_its_groups_counted():
+    inputs = decode_io(bytes.fromhex("f0 04 11 22 33 44 01 80 02 ff03 0100"))
+    assert inputs.digital_in == (0x11, 0x22, 0x33, 0x44)
+    assert inputs.digital_out == (0x80,)
+    assert inputs.analog == (1023, 1)  # 10 bits
+    assert decode_io(bytes.fromhex("f0 00 00 00")) == ((), (), ())
 
 
 # Section 4.4: DMIN, DMAX, ARES, AMIN, AMAX, AFRT, SCAN; points and field of view in degrees.
