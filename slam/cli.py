@@ -140,10 +140,20 @@ def reoptimise(
 def demo(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
     direct: Annotated[
-        bool, typer.Option(help="Leave devices and wires out, where there are no ptys.")
+        bool, typer.Option("--direct", help="Leave devices and wires out, where there are no ptys.")
+    ] = False,
+    real: Annotated[
+        bool, typer.Option("--real", help="Map a real building instead; needs the extra `demo`.")
     ] = False,
 ) -> None:
     """Drive the paper's test bed on simulated devices; compare SDP-PE with constant intervals."""
+    if real:
+        from slam.demo_real import run_real_demo
+
+        if direct:
+            raise typer.BadParameter("--real has no devices: leave --direct out")
+        run_real_demo(out, say)
+        return
     from slam.demo import run_demo
 
     run_demo(out, say, direct)
