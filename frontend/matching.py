@@ -234,22 +234,22 @@ def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     used = [r for r in references if r.scan.valid > 2]
     if not used:
         return None
-    poses = np.array([_vector(r.target_T_scan) for r in used])
     first = used[0].scan
     if len(used) == 1:
-        starts = np.array([0, len(first.points)])
-        geometries, reach2 = first.geometry[None], first.reach2[None]
+        starts, geometries, reach2 = first.alone
+        poses = _vector(used[0].target_T_scan)[None]
         return (
             first.points, first.lines, first.windows, first.flags, starts, geometries, reach2, poses
         )  # fmt: skip
-    same = all(r.scan.reach2 is first.reach2 for r in used)
+    poses = np.array([_vector(r.target_T_scan) for r in used])
+    same = all(r.scan.alone[2] is first.alone[2] for r in used)
     joined = (
         np.concatenate([r.scan.points for r in used]),
         np.concatenate([r.scan.lines for r in used]),
         np.concatenate([r.scan.windows for r in used]),
         np.concatenate([r.scan.flags for r in used]),
         np.array([r.scan.geometry for r in used]),
-        first.reach2[None] if same else np.array([r.scan.reach2 for r in used]),
+        first.alone[2] if same else np.array([r.scan.reach2 for r in used]),
     )
     for array in joined:  # like those of a single scan, so that one compiled kernel serves both
         array.setflags(write=False)

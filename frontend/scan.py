@@ -62,6 +62,8 @@ class PreparedScan:
     valid: int  # beams with a point
     centre: NDArray[np.float64]  # (2,) m, mean of the nearer points: what the scan looks at
     reach2: NDArray[np.float64]  # (REACH,) sin^2 of the least angle to beam k, to 90 deg
+    # The same as a stack of one scan: starts (2,), geometry (1, 5), reach2 (1, REACH).
+    alone: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 
     @property
     def ranges(self) -> NDArray[np.float64]:
@@ -76,12 +78,12 @@ REACH = 384  # beams: 90 degrees and more at 0.25 degrees
 
 @lru_cache(maxsize=64)
 def reach_table(step: float) -> NDArray[np.float64]:
-    """(REACH,) sin^2 of the least angle to the k-th beam from the nearest, at most 1.
+    """(1, REACH) sin^2 of the least angle to the k-th beam from the nearest, at most 1.
 
     The nearest beam of `step` (rad) is up to half a step off, and its bearing is known to SLACK.
     """
     angles = np.maximum((np.arange(REACH) - 0.5) * step - SLACK, 0.0)
-    table: NDArray[np.float64] = np.sin(np.minimum(angles, 0.5 * np.pi)) ** 2
+    table: NDArray[np.float64] = np.sin(np.minimum(angles, 0.5 * np.pi))[None] ** 2
     table.setflags(write=False)
     return table
 
@@ -101,7 +103,9 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     in_a_turn = 2 * np.pi / step - 1e-6
     whole = len(ranges) if len(ranges) > in_a_turn - 1.5 else math.floor(in_a_turn)
     first = math.remainder(angle_min + mount.theta, 2 * np.pi)  # the search wraps but once
-    geometry = np.array([first, step, mount.x, mount.y, whole])
+    geometries = np.array([[first, step, mount.x, mount.y, whole]])
+    geometries.setflags(write=False)
+    geometry = geometries[0]
     centre = np.zeros(2)
     valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
     noise, tolerance = config.range_noise, config.line_tolerance
@@ -109,8 +113,10 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
         points, flags, geometry, noise, tolerance, config.gap_ratio, config.normal_sigma_max,
         lines, windows,
     )  # fmt: skip
-    for array in (points, lines, windows, flags, geometry, centre):
+    for array in (points, lines, windows, flags, centre):
         array.setflags(write=False)
+    reach2 = reach_table(step)
+    alone = np.array([0, len(points)]), geometries, reach2
     return PreparedScan(
-        scan.stamp_ns, points, lines, windows, flags, geometry, valid, centre, reach_table(step)
+        scan.stamp_ns, points, lines, windows, flags, geometry, valid, centre, reach2[0], alone
     )  # fmt: skip
