@@ -87,6 +87,8 @@ def align(
                 system,
             )
             count += used
+        if not has_prior:  # nothing to lean on instead, and no time to lose
+            break
         share = discount_weak_axis(
             source_points,
             source_lines,
@@ -107,7 +109,7 @@ def align(
         )
         # Where the scans only seem to know, the pose goes back to the prior, and is held there
         # if it slides off again.
-        if not has_prior or share >= TRUSTED_SHARE or attempt == 2:
+        if share >= TRUSTED_SHARE or attempt == 2:
             break
         step_back(pose, prior, known, noise, axis)
         begin = last
