@@ -40,6 +40,7 @@ from slam.tracking import Tracked, track
 
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
 MOST_BETWEEN = 64  # scans kept between two keyframes
+MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
 MAX_WAIT_NS = 2_000_000_000  # a scan waits this long (in message time) for odometry after it
@@ -96,6 +97,8 @@ class Slam:
         self._latest: _Sighting | None = None
         self._kept: _Sighting | None = None  # the last keyframe's
         self._between: list[_Sighting] = []  # scans since then
+        # Keyframes to be, the next one last: scan, reason, and the scans before it.
+        self._ahead: list[tuple[_Sighting, str, Sequence[_Sighting]]] = []
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
         self._past: Past | None = None
         self._sought_m: float | None = None  # way at which the place in the past was last sought
@@ -147,7 +150,14 @@ class Slam:
         self.loops.finish()
 
     def _drain(self, wait: bool) -> None:
-        while self._pending:
+        matches = 0
+        while self._pending or self._ahead:
+            if self._ahead:
+                if wait and matches == MATCHES_A_STEP:
+                    return
+                matches += 1
+                self._advance(*self._ahead.pop())
+                continue
             scan = self._pending[0]
             sweep = sweep_ns(scan) if self.config.scan.unbend else 0
             end_ns = scan.stamp_ns + sweep
@@ -216,7 +226,7 @@ class Slam:
             self._choose_interval(moved, seconds)
         reason = reason_to_keep(moved, scans, seconds, self._interval, self.config.keyframes)
         if reason:
-            self._advance(sighting, reason, self._between)
+            self._ahead.append((sighting, reason, self._between))
             return
         self._between.append(sighting)
         if len(self._between) > MOST_BETWEEN:  # the robot stands still: keep every other one
@@ -266,7 +276,8 @@ class Slam:
         """Add a keyframe; where match and odometry quarrel, go there by a scan in between.
 
         A shorter interval has more overlap and less odometry: halving it until both agree, or
-        no scan is left between, is what keeps the track when the odometry lies.
+        no scan is left between, is what keeps the track when the odometry lies.  After a long bad
+        stretch that can be dozens of keyframes: they are left to the next steps, while scans wait.
         """
         prepared = prepare(sighting.scan, self.mount, self.config.scan)
         if prepared.valid < self.config.matcher.min_pairs:
@@ -278,8 +289,8 @@ class Slam:
         self.matches += 1
         if between and not (tracked.odometry_trusted and tracked.match_trusted):
             middle = len(between) // 2
-            self._advance(between[middle], "halved", between[:middle])
-            self._advance(sighting, reason, between[middle + 1 :])
+            self._ahead.append((sighting, reason, between[middle + 1 :]))
+            self._ahead.append((between[middle], "halved", between[:middle]))
             return
         self._extend(sighting, prepared, tracked, reason)
 

@@ -2,16 +2,18 @@
 
 from collections import Counter
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from gtsam import Pose2
 
 from drivers.simulators.drive import simulate
+from drivers.simulators.faults import OdometryFault
 from drivers.simulators.world import World
 from drivers.simulators.worlds import scenario
 from logs.messages import LaserScan, TruePose, WheelOdometry
 from slam.config import load_config
-from slam.pipeline import Slam
+from slam.pipeline import MATCHES_A_STEP, Slam
 
 DEFAULTS = load_config(None)
 NO_LOOPS = load_config(None, ["loops.enabled=false"])
@@ -124,3 +126,26 @@ def test_messages_that_run_backwards_are_counted_and_left_out(sense, straight):
     assert slam.lost["scan with a stamp that runs backwards"] == repeated[LaserScan]
     assert slam.lost["odometry with a stamp that runs backwards"] == repeated[WheelOdometry] - 1
     assert slam.graph.poses.tobytes() == plain.graph.poses.tobytes()
+
+
+def test_a_bad_stretch_is_worked_off_in_later_steps_with_the_same_result(monkeypatch):
+    """Wheels that stall for two seconds halve an interval into many; no step may take them all."""
+    stall = OdometryFault("stall", 6.0, 2.0, None)
+    messages = list(islice(simulate(scenario("office"), seed=1, faults=[stall]), 700))
+    slam, most = Slam(NO_LOOPS), 0
+    for message in messages:
+        before = slam.matches
+        slam.step(message)
+        most = max(most, slam.matches - before)
+    slam.finish_input()
+    assert most == MATCHES_A_STEP
+    monkeypatch.setattr("slam.pipeline.MATCHES_A_STEP", 1000)
+    at_once, most = Slam(NO_LOOPS), 0
+    for message in messages:
+        before = at_once.matches
+        at_once.step(message)
+        most = max(most, at_once.matches - before)
+    at_once.finish_input()
+    assert most > 10
+    assert slam.graph.poses.tobytes() == at_once.graph.poses.tobytes()
+    assert slam.factors == at_once.factors
