@@ -244,7 +244,8 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 def main() -> None:
     """Entry point of the console script: known errors become one line and an exit code."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _on_signal)
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # `nohup slam`
+            signal.signal(number, _on_signal)
     try:
         app()
     except BaseException as error:

@@ -1,4 +1,7 @@
-"""SIGINT, SIGTERM and SIGHUP as a request that is granted in good order; a second one insists."""
+"""SIGINT, SIGTERM and SIGHUP as a request that is granted in good order; a second one insists.
+
+Under `nohup` the closed terminal is ignored, as it should be.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,8 @@ class StopRequest:
 
     def __enter__(self) -> Self:
         for number in _SIGNALS:
-            self._before[number] = signal.signal(number, self._on_signal)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(

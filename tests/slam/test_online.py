@@ -292,6 +292,23 @@ def test_a_signal_leaves_a_complete_run(simulated, tmp_path, number, code):
     online_equals_replay(tmp_path / "run", tmp_path)
 
 
+def test_under_nohup_a_closed_terminal_is_no_reason_to_stop(simulated, tmp_path):
+    with simulated() as robot:
+        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # which a child inherits
+        try:
+            process = command("online", "--config", tmp_path / "robot.toml", "--record-only",
+                              "--out", tmp_path / "run")  # fmt: skip
+        finally:
+            signal.signal(signal.SIGHUP, before)
+        wait_for(lambda: robot.laser.state == "stream" and robot.base.sending)
+        process.send_signal(signal.SIGHUP)
+        time.sleep(1.0)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert finished(process)[0] == 143
+
+
 def wait_for(condition, seconds=40.0):
     end = time.monotonic() + seconds
     while not condition():
