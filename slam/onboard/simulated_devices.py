@@ -63,7 +63,7 @@ class SimulatedDevices:
             folder = self.folder or Path(made)
             endpoints = [
                 _endpoint(base, folder / "p3dx", self.robot_port, serial=not self.robot_port),
-                _endpoint(head, folder / "laser", self.laser_port, serial=model.serial_speeds),
+                _endpoint(head, folder / "laser", self.laser_port, serial=False),  # as over USB
             ]
             for what, end in zip((self.robot, self.laser), endpoints, strict=True):
                 say(f"{what}: {end.name}")

@@ -19,7 +19,7 @@ from drivers.errors import NoReply, WrongDevice
 from drivers.hokuyo import Hokuyo, HokuyoConfig
 from drivers.pioneer import Pioneer, PioneerConfig
 from drivers.pioneer_decoder import PioneerDecoder
-from drivers.scip_protocol import encode_reply
+from drivers.scip_protocol import checksum, encode_reply
 from drivers.simulators.hokuyo_device import HokuyoBuild
 from drivers.simulators.link import SimulatedTime
 from logs.messages import LaserScan, RawBytes, WheelOdometry
@@ -113,6 +113,34 @@ def test_aria_dislodging_a_robot_that_is_not_connected_does_no_harm(robot_bench)
     for stage in (0, 1, 2):
         tell(bench, stage)
         assert [p.id for p in packets(bench, 0.1)] == [stage]
+
+
+def test_aria_reads_an_old_urg(laser_bench):
+    """Its SCIP 2.0 class: RS and SCIP2.0 blindly, then VV, PP and MD; AMIN must not be 0."""
+    bench = laser_bench(HokuyoBuild(model="urg-04lx"))
+
+    def say(line):
+        bench.line.to_device(line + b"\n", bench.time.now_s, 19200)
+        bench.time.sleep(0.1)
+        return bench.line.to_host(bench.time.now_s, 19200).split(b"\n")
+
+    assert say(b"RS") == [b"RS", b"E", b"", b""]
+    assert say(b"SCIP2.0") == [b"SCIP2.0", b"00P", b"", b""]
+    for question, first, lines in ((b"VV", b"VEND:", 5), (b"PP", b"MODL:", 8)):
+        echo, status, *found, empty, _ = say(question)
+        assert (echo, status, empty, len(found)) == (question, b"00P", b"", lines)
+        assert found[0].startswith(first)
+        assert all(line[-2:-1] == b";" and checksum(line[:-2]) == line[-1] for line in found)
+    assert int(found[4].removeprefix(b"AMIN:")[:-2]) > 0
+    request = b"MD0128064004000"
+    assert say(request)[:3] == [request, b"00P", b""]
+    bench.time.sleep(0.2)
+    echo, status, stamp, *data = (
+        bench.line.to_host(bench.time.now_s, 19200).split(b"\n\n")[0].split(b"\n")
+    )
+    assert (echo, status, len(stamp)) == (request, b"99b", 5)
+    assert sum(len(line) - 1 for line in data) == 3 * 129  # 513 steps in fours
+    assert say(b"RS")[-4:] == [b"RS", b"00P", b"", b""]
 
 
 def test_a_laser_that_answers_while_it_boots_is_there_afterwards(laser_bench):
