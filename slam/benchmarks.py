@@ -126,7 +126,7 @@ def _measure(
     if name == "buildings":
         from slam.bench.buildings import bench_buildings
 
-        return bench_buildings(quick, say)
+        return bench_buildings(out, quick, say)
     if name == "growth":
         from slam.bench.growth import bench_growth
 

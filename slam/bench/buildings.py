@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from drivers.simulators.drive import simulate
 from drivers.simulators.faults import FaultKind, OdometryFault
 from drivers.simulators.worlds import scenario
+from slam.bench.drive_book import Case, DriveBook, program_sha256
 from slam.config import SlamConfig
 from slam.metrics import align
 from slam.offline import Result, run_offline
@@ -21,36 +24,38 @@ from slam.trajectory import compose
 
 BUILDINGS = ("office-ring", "symmetric-corridors", "clutter")
 FAULTS: tuple[FaultKind, ...] = ("sign-flip", "stall", "jump", "slip", "scan-gap")
-SEEDS, FAULT_SEEDS = 20, 3
-PROCESSES = 2
+SEEDS = 20
 
 FALSE_M, FALSE_RAD = 0.3, 0.15  # a closure that errs by more joins what does not belong together
 # A keyframe revisits where an older one, this much path ago, stood so near and looked alike.
 AGO_M, NEAR_M, ALIKE_RAD = 8.0, 1.0, np.radians(45.0)
 CLOSED_M = 2.0  # m of path from a revisit to the closure that uses it
 
-Case = tuple[str, int, FaultKind | None]  # building, seed, fault
 Matrix = NDArray[np.float64]
 
 
-def bench_buildings(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_buildings(out: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """Drive every building with the shipped configuration and judge maps and closures by truth.
 
-    Without faults on 20 seeds, with each fault on three; with `quick` on one.
+    Twenty seeds, without a fault and with each; with `quick` one.  Each drive is written down in
+    `out` as it ends: after an interruption the same command does only the rest.
     """
-    seeds, fault_seeds = (1, 1) if quick else (SEEDS, FAULT_SEEDS)
-    cases: list[Case] = [
-        (building, seed, None) for seed in range(1, seeds + 1) for building in BUILDINGS
-    ]
+    seeds = range(1, (1 if quick else SEEDS) + 1)
+    cases: list[Case] = [(building, seed, None) for seed in seeds for building in BUILDINGS]
     cases += [
         (building, seed, fault)
-        for seed in range(1, fault_seeds + 1) for building in BUILDINGS for fault in FAULTS
+        for seed in seeds for building in BUILDINGS for fault in FAULTS
     ]  # fmt: skip
-    runs = []
-    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
-        for run in pool.imap(drive, cases):
-            say(" ".join(f"{key}={_short(value)}" for key, value in run.items()))
-            runs.append(run)
+    what = {"config_sha256": SlamConfig().sha256(), "program_sha256": program_sha256()}
+    book = DriveBook(out / "buildings.jsonl", what)
+    rest = [case for case in cases if case not in book.runs]
+    workers = min(len(os.sched_getaffinity(0)), len(rest))
+    if rest:
+        with multiprocessing.get_context("spawn").Pool(workers) as pool:
+            for case, run in zip(rest, pool.imap(drive, rest), strict=True):
+                say(" ".join(f"{key}={_short(value)}" for key, value in run.items()))
+                book.add(case, run)
+    runs = [book.runs[case] for case in cases]
     meta = {
         "closure_false_beyond": [FALSE_M, FALSE_RAD],
         "revisit_within": [NEAR_M, float(ALIKE_RAD)],
