@@ -67,7 +67,9 @@ class FactorMaker:
         self.config = config
         sigmas = [config.anchor_sigma_trans, config.anchor_sigma_trans, config.anchor_sigma_rot]
         self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
-        self._weights: dict[Edge, Matrix] = {}  # a batch asks for each many times
+        # A batch asks for each many times.
+        self._weights: dict[Edge, Matrix] = {}
+        self._gaussians: dict[Edge, gtsam.noiseModel.Gaussian] = {}
 
     def anchor(self, map_T_first: Pose2) -> gtsam.PriorFactorPose2:
         """The prior that holds keyframe 0."""
@@ -106,6 +108,12 @@ class FactorMaker:
         return 0.5 * (weight + weight.T)
 
     def _gaussian(self, edge: Edge) -> gtsam.noiseModel.Gaussian:
+        known = self._gaussians.get(edge)
+        if known is None:
+            known = self._gaussians[edge] = self._model(edge)
+        return known
+
+    def _model(self, edge: Edge) -> gtsam.noiseModel.Gaussian:
         weight = self.weight(edge)
         # GTSAM takes the square root by Cholesky, which an axis without information would break:
         # it gets a sigma of 30,000 times the best-known one.

@@ -55,19 +55,18 @@ def _score(grid, block, xs, ys, dx, dy):
 
 
 @njit(cache=True, nogil=True)
-def branch_and_bound(levels, points, angles, x0, y0, cells, min_score, excluded, best):
-    """Depth-first over blocks, the most promising first; fills best (score, dx, dy, angle).
+def bound_blocks(levels, points, angles, x0, y0, cells):
+    """Cells of the points turned by each angle, and the bound of each coarsest block.
 
-    `excluded` is (dx, dy, radius) in cells: poses nearer than radius do not count.
+    Returns xs, ys (angles, points) and bounds (angles * blocks,).
     """
     top = len(levels) - 1
     block = 1 << top
     per_axis = (2 * cells) // block + 1
-    count = len(angles) * per_axis * per_axis
     n = len(points)
     xs = np.empty((len(angles), n), dtype=np.int64)
     ys = np.empty((len(angles), n), dtype=np.int64)
-    bounds = np.empty(count)
+    bounds = np.empty(len(angles) * per_axis * per_axis)
     for a in range(len(angles)):
         c, s = np.cos(angles[a]), np.sin(angles[a])
         for k in range(n):
@@ -79,6 +78,19 @@ def branch_and_bound(levels, points, angles, x0, y0, cells, min_score, excluded,
                 bounds[node] = _score(
                     levels[top], block, xs[a], ys[a], ix * block - cells, iy * block - cells
                 )
+    return xs, ys, bounds
+
+
+@njit(cache=True, nogil=True)
+def branch_and_bound(levels, xs, ys, bounds, angles, cells, min_score, excluded, best):
+    """Depth-first over blocks, the most promising first; fills best (score, dx, dy, angle).
+
+    `xs`, `ys` and `bounds` come from `bound_blocks`.  `excluded` is (dx, dy, radius) in cells:
+    poses nearer than radius do not count.
+    """
+    top = len(levels) - 1
+    block = 1 << top
+    per_axis = (2 * cells) // block + 1
     order = np.argsort(-bounds, kind="mergesort")
     best[0] = min_score
     found = False
