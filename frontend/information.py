@@ -3,7 +3,8 @@
 A match after d metres is foreseen from the keyframe alone: its own points say what a later scan
 will still see of them, and its normals what that tells about each axis.  With the odometry's
 prior this is the covariance P(d) of a match.  Chained over a path, the variance that a metre
-adds depends on d; the interval is the longest whose sum is as good as the best.
+adds depends on d; the interval is the longest whose sum is as good as the best.  Likewise for
+turns.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ PER_OCTAVE = 2  # distances at which a match is foreseen; between them its varia
 FINER = 4  # distances tried between two of those
 MOST_BEAMS = 180  # cast into the scan
 # What is foreseen is not right to more than a twentieth (tests hold it against real matches):
-# nearer than that, two variances are equal, and the longer interval saves matches.
+# nearer than that, two variances are equal, and the longer step saves matches.
 AS_GOOD = 1.05
 
 
@@ -33,7 +34,7 @@ AS_GOOD = 1.05
 class Outlook:
     """What is known, besides the scan, about the matches to come; all of it physical."""
 
-    odometry: Callable[[float], Array]  # metres travelled -> (3, 3) covariance of the step
+    odometry: Callable[[float, float], Array]  # m travelled, rad turned -> (3, 3) covariance
     references: int  # keyframes that a match is made against at once
     range_noise: float  # m, one sigma
     correlation: float  # factor on the variance that range noise alone explains, at least 1
@@ -85,7 +86,7 @@ def distance_of_overlap(
 def best_distance(
     scan: PreparedScan, direction: float, shortest: float, longest: float, outlook: Outlook
 ) -> Foresight:
-    """The farthest distance whose matches add the least variance per metre of path.
+    """The farthest distance whose matches add about the least variance per metre of path.
 
     With P(d) the trace of a match's covariance (the heading counts by r^2, r the median distance
     of what is seen, so that the sum is the square shift of a point): a keyframe that is matched
@@ -102,34 +103,96 @@ def best_distance(
         longest: m, the greatest.
         outlook: the rest.
     """
-    distances, covariances, own = _covariances(scan, direction, shortest, longest, outlook)
-    seen = scan.ranges[(scan.flags & VALID) > 0]
-    reach = float(np.median(seen)) if len(seen) else 0.0
-    lever = np.array([1.0, 1.0, reach**2])
-    shares = np.diagonal(covariances, axis1=1, axis2=2) * lever
-    lasting = (1.0 - 1.0 / outlook.correlation) * reach
-    fixed = lasting * (np.diagonal(own, axis1=1, axis2=2) @ lever)
-    candidates = np.geomspace(shortest, longest, _count(shortest, longest, FINER * PER_OCTAVE))
-    cost = _per_metre(candidates, distances, shares.sum(axis=1), fixed, outlook.references)
-    chosen = float(candidates[np.flatnonzero(cost <= AS_GOOD * cost.min())[-1]])
-    nearest = int(np.argmin(np.abs(np.log(distances / chosen))))
-    sx, sy, st = np.sqrt(np.diag(covariances[nearest])).tolist()
-    return Foresight(chosen, (sx, sy, st), AXES[int(np.argmax(shares[nearest]))])
+    reach = _reach(scan)
+    steps = _steps(shortest, longest, outlook.references)
+    odometry = np.array([outlook.odometry(float(d), 0.0) for d in steps])
+    seen = _seen(scan, _ahead(steps, direction), outlook)
+    chosen = _farthest(steps, seen, odometry, longest, reach, reach, outlook)
+    nearest = int(np.argmin(np.abs(np.log(steps / chosen))))
+    variances = np.diag(np.linalg.inv(seen[nearest] + np.linalg.inv(odometry[nearest])))
+    sx, sy, st = np.sqrt(variances).tolist()
+    return Foresight(chosen, (sx, sy, st), AXES[int(np.argmax(variances * _lever(reach)))])
 
 
-def _covariances(
-    scan: PreparedScan, direction: float, shortest: float, longest: float, outlook: Outlook
-) -> tuple[Array, Array, Array]:
-    """Distances (k,) to the farthest reference, and what matches after them know.
+def best_turn(scan: PreparedScan, narrowest: float, widest: float, outlook: Outlook) -> float:
+    """The widest turn (rad), to either side, whose matches add the least variance per radian.
 
-    The (k, 3, 3) covariances, and the part of each that comes from the scans, not the odometry.
+    As `best_distance`; what is seen is new after a turn by the field of view.
+
+    Args:
+        scan: the keyframe.
+        narrowest: rad, the least turn.
+        widest: rad, the greatest.
+        outlook: the rest.
     """
-    farthest = outlook.references * longest
-    distances = np.geomspace(shortest, farthest, _count(shortest, farthest, PER_OCTAVE))
-    known, _ = informations(scan, _ahead(distances, direction), outlook)
-    odometry = np.linalg.inv(np.array([outlook.odometry(float(d)) for d in distances]))
-    covariances = np.asarray(np.linalg.inv(known + odometry), np.float64)
-    return distances, covariances, covariances @ known @ covariances
+    reach, field = _reach(scan), min(len(scan.points) * float(scan.geometry[1]), 2.0 * math.pi)
+    steps = _steps(narrowest, widest, outlook.references)
+    odometry = np.array([outlook.odometry(0.0, float(a)) for a in steps])
+    chosen = []
+    for side in (1.0, -1.0):
+        seen = _seen(scan, side * steps[:, None] * np.array([0.0, 0.0, 1.0]), outlook)
+        chosen.append(_farthest(steps, seen, odometry, widest, field, reach, outlook))
+    return min(chosen)
+
+
+def _farthest(
+    steps: Array, seen: Array, odometry: Array, longest: float, renewed: float, reach: float,
+    outlook: Outlook,
+) -> float:  # fmt: skip
+    """The longest step that adds about the least variance a unit of way.
+
+    Args:
+        steps: (k,) m or rad, to the farthest reference.
+        seen: (k, 3, 3) information of the scans after each.
+        odometry: (k, 3, 3) covariance after each.
+        longest: of the steps that may be chosen.
+        renewed: after how much way something else is seen, in units of the steps.
+        reach: m, median distance of what is seen.
+        outlook: the rest.
+    """
+    covariances = np.linalg.inv(seen + np.linalg.inv(odometry))
+    variances = np.diagonal(covariances, axis1=1, axis2=2) @ _lever(reach)
+    own = np.diagonal(covariances @ seen @ covariances, axis1=1, axis2=2) @ _lever(reach)
+    lasting = (1.0 - 1.0 / outlook.correlation) * renewed
+    within = np.flatnonzero(steps <= longest * (1.0 + 1e-9))
+    back = _mean_reference(steps[within], steps, variances, outlook.references)
+    grown = (variances[within] * steps[within] + lasting * own[within]) / back**2
+    logs = np.log(steps[within])
+    candidates = np.linspace(logs[0], logs[-1], FINER * (len(logs) - 1) + 1)
+    cost = np.interp(candidates, logs, np.log(grown))
+    return float(np.exp(candidates[cost <= cost.min() + math.log(AS_GOOD)][-1]))
+
+
+def _mean_reference(chosen: Array, steps: Array, variances: Array, references: int) -> Array:
+    """(n,) how far back, on average, what holds a keyframe stands after each of `chosen` (n,)."""
+    at = np.log(chosen)[:, None] + np.log(np.arange(1, references + 1))
+    weights = np.exp(-np.interp(at, np.log(steps), np.log(variances)))
+    mean: Array = np.sum(np.exp(at) * weights, axis=1) / np.sum(weights, axis=1)
+    return mean
+
+
+def _seen(scan: PreparedScan, poses: Array, outlook: Outlook) -> Array:
+    """(k, 3, 3) information of matches from `poses`; rounding leaves no negative direction."""
+    values, vectors = np.linalg.eigh(informations(scan, poses, outlook)[0])
+    kept: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
+    return kept
+
+
+def _reach(scan: PreparedScan) -> float:
+    """Median distance of what is seen, m."""
+    seen = scan.ranges[(scan.flags & VALID) > 0]
+    return float(np.median(seen)) if len(seen) else 0.0
+
+
+def _lever(reach: float) -> Array:
+    return np.array([1.0, 1.0, reach**2])
+
+
+def _steps(shortest: float, longest: float, references: int) -> Array:
+    """Geometric, from the shortest to the farthest reference; one of them is the longest."""
+    near = np.geomspace(shortest, longest, _count(shortest, longest, PER_OCTAVE))
+    beyond = np.geomspace(1.0, references, _count(1.0, references, PER_OCTAVE))[1:]
+    return np.concatenate([near, longest * beyond])
 
 
 def _ahead(distances: Array, direction: float) -> Array:
@@ -141,15 +204,3 @@ def _ahead(distances: Array, direction: float) -> Array:
 
 def _count(low: float, high: float, per_octave: int) -> int:
     return max(2, 1 + round(per_octave * math.log2(high / low)))
-
-
-def _per_metre(
-    candidates: Array, distances: Array, variances: Array, fixed: Array, references: int
-) -> Array:
-    """Variance (m^2 a metre) that chained matches add at each candidate distance."""
-    at = np.log(candidates)[:, None] + np.log(np.arange(1, references + 1))
-    variance = np.exp(np.interp(at, np.log(distances), np.log(variances)))  # (candidates, refs)
-    back = np.sum(np.exp(at) / variance, axis=1) / np.sum(1.0 / variance, axis=1)
-    every = np.interp(np.log(candidates), np.log(distances), fixed)
-    grown: Array = (variance[:, 0] * candidates + every) / back**2
-    return grown

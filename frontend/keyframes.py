@@ -11,7 +11,13 @@ from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
-from frontend.information import Foresight, Outlook, best_distance, distance_of_overlap
+from frontend.information import (
+    Foresight,
+    Outlook,
+    best_distance,
+    best_turn,
+    distance_of_overlap,
+)
 from frontend.scan import PreparedScan
 
 
@@ -47,7 +53,11 @@ class KeyframeConfig(BaseModel):
     least_overlap: float = Field(
         0.7, gt=0, lt=1, description="share of the view that method overlap keeps"
     )
-    max_turn: float = Field(0.3, gt=0, description="rad, a larger turn always makes a keyframe")
+    max_turn: float = Field(
+        0.3, gt=0, description="rad, a larger turn makes a keyframe; method information foresees it"
+    )
+    narrowest: float = Field(0.1, gt=0, description="rad, the narrowest foreseen turn")
+    widest: float = Field(0.6, gt=0, description="rad, the widest foreseen turn")
     max_time: float = Field(
         10.0, gt=0, description="s, the longest wait while the robot moves at all"
     )
@@ -61,6 +71,8 @@ class KeyframeConfig(BaseModel):
             raise ValueError("t_low must be below t_high")
         if self.shortest >= self.longest:
             raise ValueError("shortest must be below longest")
+        if self.narrowest >= self.widest:
+            raise ValueError("narrowest must be below widest")
         if self.foresees and self.unit != "metres":
             raise ValueError(f"method {self.method} gives metres: unit must be metres")
         return self
@@ -79,10 +91,13 @@ class Interval:
     complexity: PoseComplexity | None  # None where the method does not look at the walls
     foresight: Foresight | None = None  # None where it does not foresee the match
     open: bool = False  # to be chosen when the robot has begun to move
+    turn: float | None = None  # rad; None: as configured
 
 
-def interval_after(keyframe: PreparedScan, config: KeyframeConfig) -> Interval:
-    """The interval from this keyframe to the next.
+def interval_after(
+    keyframe: PreparedScan, config: KeyframeConfig, outlook: Outlook | None = None
+) -> Interval:
+    """The interval from this keyframe to the next, as far as it is known before the robot moves.
 
     SDP-PE: the more complex the walls, the less overlap a match needs, the longer the interval.
     The paper gives no mapping from T_PE to the interval; it is taken as linear between two
@@ -91,7 +106,10 @@ def interval_after(keyframe: PreparedScan, config: KeyframeConfig) -> Interval:
     if config.method == "constant":
         return Interval(config.interval, None)
     if config.foresees:
-        return Interval(config.longest, None, open=True)
+        turn = None
+        if config.method == "information" and outlook is not None:
+            turn = best_turn(keyframe, config.narrowest, config.widest, outlook)
+        return Interval(config.longest, None, open=True, turn=turn)
     left, right = wall_profiles(keyframe.points, config.profile_reach, config.profile_bin)
     complexity = pose_score(wall_sums(left), wall_sums(right), config.weights)
     share = (complexity.t_pe - config.t_low) / (config.t_high - config.t_low)
@@ -134,7 +152,7 @@ def reason_to_keep(
         config: limits.
     """
     distance, turn = float(np.hypot(moved.x(), moved.y())), abs(moved.theta())
-    if turn >= config.max_turn:
+    if turn >= (interval.turn or config.max_turn):
         return "turn"
     if config.unit == "scans":
         if scans >= interval.length:

@@ -5,9 +5,10 @@ No file, device, clock, thread or print in here: equal messages give equal graph
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from gtsam import Pose2
@@ -234,17 +235,24 @@ class Slam:
 
     def _choose_interval(self, moved: Pose2, seconds: float) -> None:
         """Foresee the next match as soon as it shows where the robot goes, and how fast."""
-        config, distance = self.config, float(np.hypot(moved.x(), moved.y()))
-        if distance < config.keyframes.shortest:
-            return
-        speed = distance / seconds
-        outlook = Outlook(
-            lambda metres: config.odometry.covariance(metres, 0.0, metres / speed),
-            config.tracking.references, config.matcher.range_noise, config.matcher.correlation,
-            config.scan.gap_ratio,
+        config, distance = self.config.keyframes, float(np.hypot(moved.x(), moved.y()))
+        if distance >= config.shortest:
+            outlook = self._outlook(distance / seconds)
+            ahead = interval_ahead(self._foreseen_from(), moved, outlook, config)
+            self._interval = replace(ahead, turn=self._interval.turn)
+
+    def _outlook(self, speed: float) -> Outlook:
+        """What is known of matches after a way at `speed` (m/s), or after turning on the spot."""
+        config = self.config
+
+        def odometry(metres: float, radians: float) -> NDArray[np.float64]:
+            seconds = metres / speed if metres else math.inf
+            return config.odometry.covariance(metres, radians, seconds)
+
+        return Outlook(
+            odometry, config.tracking.references, config.matcher.range_noise,
+            config.matcher.correlation, config.scan.gap_ratio,
         )  # fmt: skip
-        scan = self._foreseen_from()
-        self._interval = interval_ahead(scan, moved, outlook, config.keyframes)
 
     def _foreseen_from(self) -> PreparedScan:
         return self.keyframes[-1].prepared
@@ -426,7 +434,9 @@ class Slam:
                 travelled,
             )
         )
-        self._interval = interval_after(prepared, self.config.keyframes)
+        self._interval = interval_after(
+            self._foreseen_from(), self.config.keyframes, self._outlook(0.0)
+        )
         self._kept = sighting
         self._between = []
 

@@ -115,8 +115,10 @@ def information(drive: Drive, with_odometry: bool) -> Length:
     config, matcher, wheels = KeyframeConfig(method="information"), MatchConfig(), OdometryConfig()
     speed = drive.step_m / drive.period_s
 
-    def odometry(metres: float) -> NDArray[np.float64]:
-        return wheels.covariance(metres, 0.0, metres / speed) if with_odometry else np.eye(3)
+    def odometry(metres: float, radians: float) -> NDArray[np.float64]:
+        if not with_odometry:
+            return np.eye(3)
+        return wheels.covariance(metres, radians, metres / speed)
 
     outlook = Outlook(
         odometry, 1, matcher.range_noise, matcher.correlation, ScanConfig().gap_ratio

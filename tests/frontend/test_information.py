@@ -8,7 +8,13 @@ from drivers.simulators.laser import LASERS, LaserConfig, take_scan
 from drivers.simulators.robot import drive
 from drivers.simulators.world import World
 from drivers.simulators.worlds import scenario
-from frontend.information import Outlook, best_distance, distance_of_overlap, informations
+from frontend.information import (
+    Outlook,
+    best_distance,
+    best_turn,
+    distance_of_overlap,
+    informations,
+)
 from frontend.matching import MatchConfig, Prior, Reference, match
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount, LaserScan
@@ -23,14 +29,15 @@ GLASS = World(PLAIN.segments[:1], panes=PLAIN.segments[1:])
 SPEED = 0.6  # m/s
 
 
-def odometry(metres):
-    return ODOMETRY.covariance(metres, 0.0, metres / SPEED)
+def odometry(metres, radians=0.0):
+    seconds = metres / SPEED if metres else np.inf
+    return ODOMETRY.covariance(metres, radians, seconds)
 
 
 def outlook(scale=1.0):
     unit = np.diag([scale, scale, 1.0])
     return Outlook(
-        lambda metres: unit @ odometry(metres / scale) @ unit,
+        lambda metres, radians: unit @ odometry(metres / scale, radians) @ unit,
         6,
         scale * MATCH.range_noise,
         MATCH.correlation,
@@ -104,7 +111,7 @@ def test_normals_of_other_beams_foresee_nothing():
 def test_a_turned_world_changes_nothing(name, turn):
     """The laser is mounted askew by `turn` and the robot drives where the laser looks."""
     round_odometry = Outlook(
-        lambda metres: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
+        lambda metres, radians: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
         MATCH.correlation, SCAN.gap_ratio,
     )  # fmt: skip
     world, scans = places(name, 4)
@@ -174,6 +181,7 @@ def test_the_distance_stays_within_its_limits_whatever_is_seen(world, direction)
     found = best_distance(scan, direction, 0.1, 3.0, outlook())
     assert 0.1 <= found.distance <= 3.0 + 1e-9
     assert np.isfinite(found.sigmas).all()
+    assert 0.1 <= best_turn(scan, 0.1, 1.0, outlook()) <= 1.0 + 1e-9
     assert 0.1 <= distance_of_overlap(scan, direction, 0.1, 3.0, 0.7, outlook()) <= 3.0 + 1e-9
 
 
@@ -182,6 +190,29 @@ def test_the_overlap_shrinks_the_farther_one_goes_and_reversing_loses_it_sooner(
     for _, scan in scans:
         reach = [distance_of_overlap(scan, 0.0, 0.05, 6.0, s, outlook()) for s in (0.9, 0.7, 0.5)]
         assert reach == sorted(reach)
+
+
+@pytest.mark.parametrize("name", ["office", "clutter"])
+def test_a_narrower_view_is_turned_away_from_sooner(name):
+    place = scenario(name, 0)
+    track = drive(place.path)
+    found = {}
+    for field in (0.5 * np.pi, np.pi, 1.5 * np.pi):
+        laser = laser_of(round(1 + field / 0.0175), field)
+        poses = track.at(np.linspace(0.1, 0.8, 12) * track.duration_s)
+        turns = [best_turn(seen(place.world, Pose2(*p), laser), 0.1, 2.0, outlook()) for p in poses]
+        found[field] = np.exp(np.mean(np.log(turns)))
+    assert sorted(found, key=found.__getitem__) == sorted(found)
+
+
+def test_the_side_where_less_is_known_decides_how_far_to_turn():
+    """All stands on one side: mirrored, the same turn is chosen; with both sides, a wider one."""
+    corner = World(np.array([[0.5, 2.0, 6.0, 2.0], [6.0, 2.0, 6.0, 0.5]]))
+    mirrored = World(corner.segments * np.array([1.0, -1.0, 1.0, -1.0]))
+    both = World.joined([corner, mirrored])
+    one, other, wide = (best_turn(seen(w), 0.1, 2.0, outlook()) for w in (corner, mirrored, both))
+    assert one == pytest.approx(other, rel=0.1)
+    assert wide > 1.1 * one
 
 
 def test_a_full_turn_of_beams_wraps_around():

@@ -93,6 +93,13 @@ def run_in(sense):
     return made
 
 
+def turns(config):
+    """Narrowest and widest turn, rad."""
+    if config.method == "information":
+        return config.narrowest, config.widest
+    return config.max_turn, config.max_turn
+
+
 def bounds(config):
     """Shortest and longest interval, m."""
     if config.method == "constant":
@@ -111,7 +118,7 @@ def test_keyframes_do_not_flood(run_in, method, name):
     length = sum(np.hypot(s.x(), s.y()) for s in steps)
     turn = sum(abs(s.theta()) for s in steps)
     seconds = 0.1 * len(poses)
-    due = length / bounds(config)[0] + turn / config.max_turn + seconds / config.max_time
+    due = length / bounds(config)[0] + turn / turns(config)[0] + seconds / config.max_time
     # Where odometry and match quarrel the interval may be halved: twice as many at the most.
     assert len(slam.keyframes) <= 2 * due + 2
 
@@ -124,7 +131,7 @@ def test_keyframes_do_not_starve(run_in, method, name):
     config = slam.config.keyframes
     steps = [a.between(b) for a, b in pairwise(poses)]
     longest = bounds(config)[1] + max(np.hypot(s.x(), s.y()) for s in steps) + 1e-9
-    widest = config.max_turn + max(abs(s.theta()) for s in steps) + 1e-9
+    widest = turns(config)[1] + max(abs(s.theta()) for s in steps) + 1e-9
     kept = {k.scan_index for k in slam.keyframes}
     last = None
     for index, scan in enumerate(slam.seen):
