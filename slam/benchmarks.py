@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 
 IN_A_FILE = 160  # columns of a table that no terminal shows
 
-SPREAD = ("benchmark",)
+SPREAD = ("benchmark", "pareto")
 """Benchmarks that can use worker processes."""
 
 # What the table shows of each row; the file holds all.
@@ -174,7 +174,7 @@ def _measure(
     if name == "pareto":
         from slam.bench.pareto import bench_pareto
 
-        return bench_pareto(out, data, quick, say)
+        return bench_pareto(out, data, quick, say, workers)
     known = (
         "benchmark", "batch", "buildings", "growth", "matcher", "memory", "outliers",
         "online", "online-faults", "log", "paper", "pareto", "view", "weights",

@@ -31,8 +31,8 @@ LONGEST_M = 30.0  # a drive ends here, so that no world outweighs the others in 
 WARM_UP_NS = 8_000_000_000  # of a drive
 LOCALISED = 5  # every so manieth scan is localised and judged
 
-CONSTANT_M = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1, 1.5, 2.0, 3.0)
-GATES = ((0.5, 0.25), (0.5, 0.5), (1.0, 0.5))  # m, rad
+CONSTANT_M = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1, 1.5, 2.0)
+GATES = ((0.5, 0.5), (1.0, 0.5))  # m, rad
 OVERLAPS = (0.7, 0.9)
 
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from drivers.simulators.drive import EPOCH_NS
-from slam.bench.pareto import judged, row
+from slam.bench import pareto
+from slam.bench.pareto import Job, drive, row
 from slam.bench.pareto_drives import Outcome, messages_of, outcome_of, settings
 from slam.bench.pareto_figures import STYLES, draw_pareto
+from slam.bench.pareto_judge import judged, on_other_seeds
 
 SETTINGS = settings()
 
@@ -28,10 +30,47 @@ def made_up():
 def test_the_yardstick_is_the_best_constant_interval_of_the_world():
     verdict = next(v for v in judged("here", made_up()) if v["method"] == "information")
     assert verdict["best_constant"] == "0.6 m"
-    assert verdict["error_ratio"] == pytest.approx(0.95)
+    assert verdict["error_ratio"] == pytest.approx(0.95, rel=1e-3)
+    assert verdict["longest_tied_constant"] == "0.6 m"
     assert verdict["matches_ratio"] == pytest.approx(0.8)
     low, high = verdict["error_ratio_ci95"]
     assert low <= verdict["error_ratio"] <= high < 1.05
+
+
+def test_a_constant_that_is_not_known_to_be_worse_is_tied_and_the_longest_counts():
+    outcomes = made_up()
+    longer = next(s for s in SETTINGS if s.label == "1.1 m")
+    errors = [0.105, 0.097, 0.103, 0.099, 0.101]  # a little worse on average, better for some seeds
+    outcomes[longer] = [Outcome(27, 28, error, error, 10.0) for error in errors]
+    verdict = next(v for v in judged("here", outcomes) if v["method"] == "information")
+    assert verdict["best_constant"] == "0.6 m"
+    assert verdict["longest_tied_constant"] == "1.1 m"
+    assert verdict["longest_tied_matches_ratio"] == pytest.approx(40 / 27)
+
+
+def test_luck_in_the_choice_of_the_best_does_not_count():
+    """Among forty equally good constants the luckiest looks better than it is."""
+    constant = np.random.default_rng(5).normal(0.0, 0.5, (40, 30))
+    own = np.linspace(-1.0, 1.0, 30)  # as good as they are: zero on average
+    assert np.exp(np.mean(own) - np.min(np.mean(constant, axis=1))) > 1.15
+    assert on_other_seeds(own, constant) == pytest.approx(1.0, abs=0.1)
+
+
+def test_drives_that_are_done_are_kept_unless_made_with_other_settings(tmp_path, monkeypatch):
+    made = []
+
+    def count(world, seed, compared):
+        made.append((world, seed))
+        return [Outcome(1, 2, 0.1, 0.1, 1.0) for _ in compared]
+
+    monkeypatch.setattr(pareto, "outcomes_of", count)
+    monkeypatch.setattr(pareto, "warm_up", lambda: None)
+    job = Job("testbed", 7, tmp_path)
+    assert drive(job) == drive(job)
+    assert made == [("testbed", 7)]
+    monkeypatch.setattr(pareto, "settings", lambda: SETTINGS[:3])
+    assert len(drive(job)) == 3
+    assert len(made) == 2
 
 
 def test_rows_hold_what_they_promise_and_the_figure_shows_every_method(tmp_path):
