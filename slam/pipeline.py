@@ -6,9 +6,9 @@ No file, device, clock, thread or print in here: equal messages give equal graph
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from gtsam import Pose2
@@ -19,7 +19,7 @@ from frontend.information import Outlook
 from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
 from frontend.matching import Prior, Reference
 from frontend.scan import PreparedScan, prepare
-from frontend.unbend import sweep_ns, unbend
+from frontend.unbend import unbend
 from logs.messages import (
     FactorRecord,
     KeyframeDecision,
@@ -33,31 +33,17 @@ from slam.config import SlamConfig
 from slam.keyframe import Keyframe
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
-from slam.odometry import OdometryBuffer
 from slam.odometry_faults import LieDetector, Step
 from slam.past import Past, locate
+from slam.records import decision_record, estimate_record, factor_record
+from slam.sightings import Paired, ScanPairing, Sighting, sight
 from slam.stopwatch import NoWatch
-from slam.tracking import Tracked, track
+from slam.tracking import Tracked, starts_in_doubt, track
 
-STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
 MOST_BETWEEN = 64  # scans kept between two keyframes
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
-MAX_WAIT_NS = 2_000_000_000  # a scan waits this long (in message time) for odometry after it
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Sighting:
-    """A scan with its odometry, and how far the wheels had come by then."""
-
-    scan: LaserScan
-    index: int  # among the scans of the log
-    odom_T_base: Pose2
-    path_m: float  # since the start of the log, by odometry
-    path_rad: float
-    speed: float  # m/s of the step that led here
-    turn_rate: float  # rad/s
 
 
 class Slam:
@@ -90,16 +76,15 @@ class Slam:
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
         self._closing_due: int | None = None  # scan at which the loop search's result enters
-        self._odometry = OdometryBuffer()
         self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
-        self._pending: deque[LaserScan] = deque()
+        self._pairing = ScanPairing(config.scan.unbend)
         self._unbroken = 0  # keyframes from here on are tied together by matches
         self._interval = Interval(0.0, None)
-        self._latest: _Sighting | None = None
-        self._kept: _Sighting | None = None  # the last keyframe's
-        self._between: list[_Sighting] = []  # scans since then
+        self._latest: Sighting | None = None
+        self._kept: Sighting | None = None  # the last keyframe's
+        self._between: list[Sighting] = []  # scans since then
         # Keyframes to be, the next one last: scan, reason, and the scans before it.
-        self._ahead: list[tuple[_Sighting, str, Sequence[_Sighting]]] = []
+        self._ahead: list[tuple[Sighting, str, Sequence[Sighting]]] = []
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
         self._past: Past | None = None
         self._sought_m: float | None = None  # way at which the place in the past was last sought
@@ -124,9 +109,9 @@ class Slam:
     def step(self, message: Message) -> None:
         """Take in one message, in the order of the log."""
         if isinstance(message, LaserScan):
-            self._pending.append(message)
+            self._pairing.add_scan(message)
         elif isinstance(message, WheelOdometry):
-            if not self._odometry.add(message):
+            if not self._pairing.add_odometry(message):
                 self.lost["odometry with a stamp that runs backwards"] += 1
         elif isinstance(message, LaserMount):
             self.mount = message
@@ -137,7 +122,7 @@ class Slam:
     @property
     def waiting_scans(self) -> int:
         """How many scans wait for odometry after them."""
-        return len(self._pending)
+        return len(self._pairing)
 
     @property
     def latest_scan(self) -> LaserScan | None:
@@ -152,27 +137,22 @@ class Slam:
 
     def _drain(self, wait: bool) -> None:
         matches = 0
-        while self._pending or self._ahead:
-            if self._ahead:
+        while True:
+            while self._ahead:
                 if wait and matches == MATCHES_A_STEP:
                     return
                 matches += 1
                 self._advance(*self._ahead.pop())
-                continue
-            scan = self._pending[0]
-            sweep = sweep_ns(scan) if self.config.scan.unbend else 0
-            end_ns = scan.stamp_ns + sweep
-            if wait and (not self._odometry or self._odometry.last_ns < end_ns):
-                if self._pending[-1].stamp_ns - scan.stamp_ns < MAX_WAIT_NS:
-                    return
+            paired = self._pairing.next(wait)
+            if paired is None:
+                return
+            if paired.late:
                 self.lost["scan without odometry in time"] += 1
-            self._pending.popleft()
-            odom_T_base = self._odometry.at(scan.stamp_ns) if self._odometry else Pose2()
-            moved = odom_T_base.between(self._odometry.at(end_ns)) if sweep else Pose2()
-            self._take(scan, odom_T_base, (moved.x(), moved.y(), moved.theta()))
+            self._take(paired)
 
-    def _take(self, scan: LaserScan, odom_T_base: Pose2, moved: tuple[float, float, float]) -> None:
-        """Use one scan whose odometry is known, and how far it says the sweep was moved."""
+    def _take(self, paired: Paired) -> None:
+        """Use one scan whose odometry is known."""
+        scan, odom_T_base = paired.scan, paired.odom_T_base
         if self.scan_stamps_ns and scan.stamp_ns <= self.scan_stamps_ns[-1]:
             self.lost["scan with a stamp that runs backwards"] += 1
             return
@@ -181,33 +161,18 @@ class Slam:
         if self.scan_stamps_ns and scan.stamp_ns - self.scan_stamps_ns[-1] > GAP_NS:
             self.odometry_faults["scan-gap"] += 1
         if self.config.scan.unbend:
-            scan = unbend(scan, self.mount, moved)
-            self.sweeps.append(moved)
-        sighting = self._sight(scan, odom_T_base)
+            scan = unbend(scan, self.mount, paired.moved)
+            self.sweeps.append(paired.moved)
+        self._latest = sight(scan, odom_T_base, len(self.scan_stamps_ns), self._latest)
         self.scan_stamps_ns.append(scan.stamp_ns)
         self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
-        self._latest = sighting
-        self._consider(sighting)
+        self._consider(self._latest)
         if self.lost_in_the_past:  # nothing says where it was taken
             self.scan_stamps_ns.pop()
             self.odom_poses.pop()
             self.lost["scan before the robot was found in the map"] += 1
 
-    def _sight(self, scan: LaserScan, odom_T_base: Pose2) -> _Sighting:
-        index = len(self.scan_stamps_ns)
-        last = self._latest
-        if last is None:
-            return _Sighting(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
-        step = last.odom_T_base.between(odom_T_base)
-        # Stamps jitter by more than the time between them in some logs.
-        seconds = (scan.stamp_ns - last.scan.stamp_ns) * 1e-9 + STAMP_JITTER_S
-        length, turn = float(np.hypot(step.x(), step.y())), abs(step.theta())
-        return _Sighting(
-            scan, index, odom_T_base, last.path_m + length, last.path_rad + turn,
-            length / seconds, turn / seconds,
-        )  # fmt: skip
-
-    def _consider(self, sighting: _Sighting) -> None:
+    def _consider(self, sighting: Sighting) -> None:
         """Make the scan a keyframe, or let it wait among those between two keyframes."""
         if self._closing_due is not None and sighting.index >= self._closing_due:
             self._close_loops()
@@ -257,7 +222,7 @@ class Slam:
     def _foreseen_from(self) -> PreparedScan:
         return self.keyframes[-1].prepared
 
-    def _go_on(self, sighting: _Sighting, prepared: PreparedScan, past: Past) -> None:
+    def _go_on(self, sighting: Sighting, prepared: PreparedScan, past: Past) -> None:
         """Tie the first keyframe to the map made before, once its place there is found."""
         assert self.graph is not None
         due = self._sought_m is None or sighting.path_m - self._sought_m > self.config.loops.every_m
@@ -270,17 +235,17 @@ class Slam:
         self.graph.add_keyframe(self.graph.pose(edge.i) * edge.i_T_j, [edge])
         self._unbroken = edge.j
         self.record_edge(sighting.scan.stamp_ns, edge, True, "found in the map made before")
-        self._record_decision(sighting.scan, sighting.index, "resumed", Pose2(), None)
+        self._decide(sighting.scan, sighting.index, "resumed", Pose2(), None)
         # As far on as makes the whole old map old enough for loops.
         self._keep(sighting, prepared, self.config.loops.min_path_m)
-        self._record_estimate(sighting.scan.stamp_ns, False)
+        self._estimate(sighting.scan.stamp_ns, False)
 
-    def _begin(self, sighting: _Sighting, prepared: PreparedScan) -> None:
+    def _begin(self, sighting: Sighting, prepared: PreparedScan) -> None:
         self.graph = PoseGraph(Pose2(), self.config.graph)
-        self._record_decision(sighting.scan, sighting.index, "first", Pose2(), None)
+        self._decide(sighting.scan, sighting.index, "first", Pose2(), None)
         self._keep(sighting, prepared, 0.0)
 
-    def _advance(self, sighting: _Sighting, reason: str, between: Sequence[_Sighting]) -> None:
+    def _advance(self, sighting: Sighting, reason: str, between: Sequence[Sighting]) -> None:
         """Add a keyframe; where match and odometry quarrel, go there by a scan in between.
 
         A shorter interval has more overlap and less odometry: halving it until both agree, or
@@ -303,7 +268,7 @@ class Slam:
         self._extend(sighting, prepared, tracked, reason)
 
     def _extend(
-        self, sighting: _Sighting, prepared: PreparedScan, tracked: Tracked, reason: str
+        self, sighting: Sighting, prepared: PreparedScan, tracked: Tracked, reason: str
     ) -> None:
         """Put a tracked keyframe into the graph and look for loops."""
         assert self.graph is not None
@@ -319,10 +284,10 @@ class Slam:
         edges = self._edges(sighting, tracked, moved, new)
         with self._watch("optimising"):
             self.graph.add_keyframe(self.graph.pose(new - 1) * step, edges)
-        self._record_decision(sighting.scan, sighting.index, reason, moved, tracked)
+        self._decide(sighting.scan, sighting.index, reason, moved, tracked)
         self._last_step = (step, seconds)
         self._keep(sighting, prepared, float(np.hypot(step.x(), step.y())))
-        self._record_estimate(sighting.scan.stamp_ns, tracked.lost)
+        self._estimate(sighting.scan.stamp_ns, tracked.lost)
         with self._watch("closing"):
             if self.loops.begin(self.keyframes, self.graph):
                 self._closing_due = sighting.index + CLOSING_SCANS
@@ -342,7 +307,7 @@ class Slam:
                 self.record_edge(self.keyframes[-1].scan.stamp_ns, edge, True, "")
 
     def _track(
-        self, sighting: _Sighting, prepared: PreparedScan, between: Sequence[_Sighting]
+        self, sighting: Sighting, prepared: PreparedScan, between: Sequence[Sighting]
     ) -> Tracked:
         assert self.graph is not None
         assert self._kept is not None
@@ -361,11 +326,11 @@ class Slam:
         )
         return track(
             references, prepared, Prior(moved, self._odometry_covariance(sighting)),
-            self._alternatives(moved, seconds), plausible, self.config.tracking,
+            starts_in_doubt(moved, seconds, self._last_step), plausible, self.config.tracking,
             self.config.matcher,
         )  # fmt: skip
 
-    def _odometry_covariance(self, sighting: _Sighting) -> NDArray[np.float64]:
+    def _odometry_covariance(self, sighting: Sighting) -> NDArray[np.float64]:
         assert self._kept is not None
         return self.config.odometry.covariance(
             sighting.path_m - self._kept.path_m,
@@ -373,21 +338,7 @@ class Slam:
             (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9,
         )
 
-    def _alternatives(self, moved: Pose2, seconds: float) -> list[tuple[str, Pose2]]:
-        """Where else to start a match when odometry looks wrong."""
-        starts = [
-            ("zero motion", Pose2()),
-            ("mirrored translation", Pose2(-moved.x(), -moved.y(), moved.theta())),
-            ("turn only", Pose2(0.0, 0.0, moved.theta())),
-            ("translation only", Pose2(moved.x(), moved.y(), 0.0)),
-        ]
-        if self._last_step is not None:
-            step, duration = self._last_step
-            share = min(seconds / max(duration, 1e-3), 3.0)
-            starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
-        return starts
-
-    def _edges(self, sighting: _Sighting, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
+    def _edges(self, sighting: Sighting, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
         """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
         information = np.asarray(np.linalg.inv(self._odometry_covariance(sighting)), np.float64)
         note = tracked.note
@@ -412,7 +363,7 @@ class Slam:
             self.record_edge(sighting.scan.stamp_ns, edge, used, note)
         return edges
 
-    def _lie(self, sighting: _Sighting, tracked: Tracked, moved: Pose2) -> str | None:
+    def _lie(self, sighting: Sighting, tracked: Tracked, moved: Pose2) -> str | None:
         """What the odometry is caught at by this keyframe, if anything."""
         assert self._kept is not None
         if not tracked.match_trusted:
@@ -422,7 +373,7 @@ class Slam:
         step = Step.of(moved, tracked.result, seconds)
         return self._lies.watch(step, not tracked.odometry_trusted)
 
-    def _keep(self, sighting: _Sighting, prepared: PreparedScan, step_m: float) -> None:
+    def _keep(self, sighting: Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)
         self.keyframes.append(
             Keyframe(
@@ -440,52 +391,18 @@ class Slam:
         self._kept = sighting
         self._between = []
 
-    def _record_decision(
+    def _decide(
         self, scan: LaserScan, index: int, reason: str, moved: Pose2, tracked: Tracked | None
     ) -> None:
-        complexity, foresight = self._interval.complexity, self._interval.foresight
-        sums: tuple[float, ...] = complexity.sums if complexity else ()
-        sigmas: tuple[float, ...] = ()
-        if tracked is not None and tracked.match_trusted:
-            sigmas = tracked.result.sigmas
+        number = len(self.keyframes)
         self.decisions.append(
-            KeyframeDecision(
-                scan.stamp_ns,
-                len(self.keyframes),
-                index,
-                reason,
-                foresight.axis if foresight else "",
-                float(np.hypot(moved.x(), moved.y())),
-                abs(moved.theta()),
-                float(self._interval.length),
-                complexity.t_pe if complexity else float("nan"),
-                foresight.sigmas if foresight else sums,
-                sigmas,
-            )
+            decision_record(scan, number, index, reason, moved, self._interval, tracked)
         )
 
     def record_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
         """Keep a factor on record with what became of it."""
-        floor = 1e-9 * np.eye(3)  # a blind axis has no covariance to write down
-        covariance = np.linalg.inv(edge.information + floor)
-        self.factors.append(
-            FactorRecord(
-                stamp_ns,
-                edge.kind,
-                edge.i,
-                edge.j,
-                edge.i_T_j.x(),
-                edge.i_T_j.y(),
-                edge.i_T_j.theta(),
-                tuple(covariance.ravel().tolist()),
-                used,
-                note,
-            )
-        )
+        self.factors.append(factor_record(stamp_ns, edge, used, note))
 
-    def _record_estimate(self, stamp_ns: int, lost: bool) -> None:
+    def _estimate(self, stamp_ns: int, lost: bool) -> None:
         assert self.graph is not None
-        k = len(self.keyframes) - 1
-        x, y, theta = (float(v) for v in self.graph.poses[k])
-        covariance = tuple(self.graph.marginal(k).ravel().tolist())
-        self.estimates.append(PoseEstimate(stamp_ns, x, y, theta, covariance, lost))
+        self.estimates.append(estimate_record(stamp_ns, self.graph, len(self.keyframes) - 1, lost))

@@ -130,6 +130,26 @@ def track(
     return Tracked(best, False, True, f"odometry refused: {cause}; matched from {start}")
 
 
+def starts_in_doubt(
+    moved: Pose2, seconds: float, last_step: tuple[Pose2, float] | None
+) -> list[tuple[str, Pose2]]:
+    """Where else to start a match when the odometry's step `moved` looks wrong, by name.
+
+    `last_step` is the motion to the last keyframe and how long (s) it took, if there was one.
+    """
+    starts = [
+        ("zero motion", Pose2()),
+        ("mirrored translation", Pose2(-moved.x(), -moved.y(), moved.theta())),
+        ("turn only", Pose2(0.0, 0.0, moved.theta())),
+        ("translation only", Pose2(moved.x(), moved.y(), 0.0)),
+    ]
+    if last_step is not None:
+        step, duration = last_step
+        share = min(seconds / max(duration, 1e-3), 3.0)
+        starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
+    return starts
+
+
 def _surpassed(
     first: MatchResult, references: Sequence[Reference], source: PreparedScan,
     alternatives: Sequence[tuple[str, Pose2]], config: TrackingConfig, matcher: MatchConfig,
