@@ -173,7 +173,7 @@ def bench(
     ] = Path("../shared/data"),
     quick: Annotated[bool, typer.Option(help="Fewer samples, for a first look.")] = False,
     workers: Annotated[
-        int, typer.Option(min=0, help="Processes to spread `benchmark` over; 0: one by one.")
+        int, typer.Option(min=0, help="Processes to spread `benchmark` or `pareto` over; 0: none.")
     ] = 0,
 ) -> None:
     """Measure, print a table and write NAME.json."""
