@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from frontend.icp_kernels import COST, FEIGNED, PAIRS, SYSTEM, TRIED, accumulate, eigen2
+from frontend.icp_kernels import FEIGNED, eigen2, nearest_beam
+from frontend.scan_kernels import LINE, VALID
 
 WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
 SHIFT = 3.0  # robust scales to either side at which the proof is taken
@@ -55,17 +56,14 @@ def discount_weak_axis(
     held, alone, chance = held_rise(
         source_points, lines, poses, pose, partners, scale, shift * x, shift * y, shift * t
     )
-    spare, transforms = np.empty_like(partners), np.empty((len(poses), 4))
-    sums = np.zeros(SYSTEM)
     free = 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    for side in (-1.0, 0.0, 1.0):
+    for side in range(-1, 2):
         ax, ay = side * shift * x, side * shift * y
-        accumulate(
+        cost = free_cost(
             source_points,
             source_lines,
             source_flags,
-            1,
             points,
             lines,
             flags,
@@ -78,14 +76,8 @@ def discount_weak_axis(
             pose[2] + side * shift * t,
             gate,
             scale,
-            True,
-            spare,
-            transforms,
-            sums,
         )
-        # A beam without partner costs what a far one does, wherever it lies.
-        cost = sums[COST] + scale * scale * (len(poses) * sums[TRIED] - sums[PAIRS])
-        free += cost if side != 0.0 else -2.0 * cost
+        free += cost if side != 0 else -2.0 * cost
     share = min(max((free - chance) / max(held, 1e-300), 0.0), 1.0)
     left = share * max(low - alone, 0.0)
     surplus = low - left
@@ -97,13 +89,65 @@ def discount_weak_axis(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def free_cost(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    x,
+    y,
+    theta,
+    gate,
+    scale,
+):
+    """Robust cost at target_T_source = (x, y, theta) with the partners that are nearest there.
+
+    A beam without partner costs what a far one does, wherever it lies.
+    """
+    cost, unpaired = 0.0, 0
+    gate2, inverse_scale2 = gate * gate, 1.0 / (scale * scale)
+    for ref in range(len(poses)):
+        first, n = starts[ref], starts[ref + 1] - starts[ref]
+        c, s = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
+        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
+        dx, dy = x - poses[ref, 0], y - poses[ref, 1]
+        tx, ty = cr * dx + sr * dy, cr * dy - sr * dx
+        for i in range(len(source_points)):
+            if not source_flags[i] & VALID:
+                continue
+            qx, qy = source_points[i, 0], source_points[i, 1]
+            px, py = c * qx - s * qy + tx, s * qx + c * qy + ty
+            unpaired += 1
+            j, _ = nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2)
+            if j < 0 or not flags[first + j] & LINE:
+                continue
+            nx, ny = lines[first + j, 0], lines[first + j, 1]
+            ax, ay = c * nx + s * ny, c * ny - s * nx
+            if source_flags[i] & LINE and ax * source_lines[i, 0] + ay * source_lines[i, 1] < 0.5:
+                continue
+            residual = nx * px + ny * py - lines[first + j, 2]
+            if abs(residual) > gate:
+                continue
+            unpaired -= 1
+            r2 = residual * residual
+            cost += r2 / (1.0 + r2 * inverse_scale2)
+    return cost + scale * scale * unpaired
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def step_back(pose, prior, information, noise, axis):
     """Move `pose` (3,) along `axis` to where the prior, weighed against what is left, puts it."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     dx, dy = pose[0] - prior[0], pose[1] - prior[1]
     e0, e1 = c * dx + s * dy, c * dy - s * dx
     e2 = pose[2] - prior[2]
-    e2 -= 2.0 * np.pi * np.round(e2 / (2.0 * np.pi))
+    e2 -= 2.0 * np.pi * np.floor(e2 / (2.0 * np.pi) + 0.5)
     pull, stiff = 0.0, axis[3] / (noise * noise)
     for k in range(3):
         pull += axis[k] * (information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2)
@@ -149,4 +193,7 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
             for k in range(DOUBTED_PAIRS):  # insert into the descending list
                 if told > strongest[k]:
                     told, strongest[k] = strongest[k], told
-    return rise, strongest.sum() / (dx * dx + dy * dy), np.sqrt(squares)
+    alone = 0.0
+    for k in range(DOUBTED_PAIRS):
+        alone += strongest[k]
+    return rise, alone / (dx * dx + dy * dy), np.sqrt(squares)

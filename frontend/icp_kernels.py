@@ -353,7 +353,7 @@ def gauss_newton(
         dx, dy = pose[0] - prior[0], pose[1] - prior[1]
         e0, e1 = c * dx + s * dy, c * dy - s * dx
         e2 = pose[2] - prior[2]
-        e2 -= 2.0 * np.pi * np.round(e2 / (2.0 * np.pi))
+        e2 -= 2.0 * np.pi * np.floor(e2 / (2.0 * np.pi) + 0.5)
         a[0] += information[0, 0]
         a[1] += information[0, 1]
         a[2] += information[0, 2]

@@ -113,7 +113,7 @@ def _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _find_windows(sums, flags, first, last, limit, windows):
     """Fill the first and last beam of each beam's window; equal where there is none."""
-    w = 2
+    w = np.int64(2)  # a plain 2 would be a type of its own, and the search compile twice
     for i in range(len(flags)):
         a, b = i, i
         if flags[i] & VALID and last[i] - first[i] >= 2:
@@ -131,7 +131,7 @@ def _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags):
     """Fill the lines (n, 5) of the windows, and flag the beams that have one."""
     ox, oy = geometry[2], geometry[3]
     for i in range(len(windows)):
-        a, b = windows[i, 0], windows[i, 1]
+        a, b = np.int64(windows[i, 0]), np.int64(windows[i, 1])
         if b - a < 2:
             continue
         mx, my, xx, yy, xy = _fit(sums, a, b)
