@@ -11,14 +11,20 @@ def stamp(points, low, resolution, smoothing, grid):
     """Write each point's likelihood into the cells around it, keeping the maximum."""
     reach = int(np.ceil(3.0 * smoothing / resolution))
     rows, columns = grid.shape
+    across = np.empty(2 * reach + 1)  # the Gaussian is a product of one in x and one in y
     for k in range(len(points)):
         px = (points[k, 0] - low[0]) / resolution
         py = (points[k, 1] - low[1]) / resolution
         cx, cy = int(px), int(py)
+        left, right = max(0, cx - reach), min(columns, cx + reach + 1)
+        for x in range(left, right):
+            dx = (x + 0.5 - px) * resolution / smoothing
+            across[x - left] = np.exp(-0.5 * dx * dx)
         for y in range(max(0, cy - reach), min(rows, cy + reach + 1)):
-            for x in range(max(0, cx - reach), min(columns, cx + reach + 1)):
-                dx, dy = (x + 0.5 - px) * resolution, (y + 0.5 - py) * resolution
-                value = np.exp(-0.5 * (dx * dx + dy * dy) / (smoothing * smoothing))
+            dy = (y + 0.5 - py) * resolution / smoothing
+            along = np.exp(-0.5 * dy * dy)
+            for x in range(left, right):
+                value = along * across[x - left]
                 if value > grid[y, x]:
                     grid[y, x] = value
 

@@ -19,6 +19,7 @@ from frontend.correlative import (
     search,
     thin,
 )
+from frontend.loop_axes import without_blind_axis
 from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import VALID, PreparedScan
 
@@ -49,7 +50,7 @@ class LoopSearchConfig(BaseModel):
 class Closure:
     """A candidate after the search; `reason` is empty if nothing spoke against it."""
 
-    result: MatchResult | None  # target_T_source of the refined match
+    result: MatchResult | None  # of the refined match; a `weak_axis` is one it does not know
     score: float
     second_score: float
     reason: str
@@ -103,12 +104,12 @@ def close_loop(
     found = search(field, points, window, config.min_score)
     if found is None:
         return Closure(None, 0.0, 0.0, "no pose in the window explains the scan")
-    return _refine(found, field, points, references, query[-1][1], config, matcher)
+    return _refine(found, field, points, references, query[-1][1], predicted, config, matcher)
 
 
 def _refine(
     found: Found, field: LikelihoodField, points: Matrix, references: Sequence[Reference],
-    newest: PreparedScan, config: LoopSearchConfig, matcher: MatchConfig,
+    newest: PreparedScan, predicted: Pose2, config: LoopSearchConfig, matcher: MatchConfig,
 ) -> Closure:  # fmt: skip
     seed = Prior(found.target_T_query, np.diag([0.1**2, 0.1**2, 0.03**2]))
     result = match(references, newest, found.target_T_query, matcher, seed)
@@ -122,7 +123,16 @@ def _refine(
         return Closure(result, fit, second, f"mean likelihood {fit:.2f} is too low")
     if second > config.rival_ratio * score:
         return Closure(result, fit, second, "another place in the window fits as well")
-    return Closure(result, fit, second, "")
+    return Closure(
+        without_blind_axis(result, _anchor(references), newest, predicted), fit, second, ""
+    )
+
+
+def _anchor(references: Sequence[Reference]) -> PreparedScan:
+    """The scan whose frame is that of the references."""
+    return min(
+        references, key=lambda r: float(np.hypot(r.target_T_scan.x(), r.target_T_scan.y()))
+    ).scan
 
 
 def likelihood_at(field: LikelihoodField, points: Matrix, target_T_query: Pose2) -> float:

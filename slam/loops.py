@@ -44,6 +44,9 @@ class LoopConfig(BaseModel):
         2, ge=1, description="further closures that must agree with one from a wide window"
     )
     pending_m: float = Field(15.0, gt=0, description="m of travel a closure waits for witnesses")
+    least_gain: float = Field(
+        1.0, ge=0, description="a closure that tells the graph less (nats) waits for the end"
+    )
     gate: float = Field(
         1e-3, gt=0, lt=1, description="chance of refusing a true closure by chi-square"
     )
@@ -59,6 +62,7 @@ class Candidate:
     stamp_ns: int
     travelled_m: float
     chi_square: float
+    gain: float  # nats by which it would shrink what the graph does not know of its ends
 
 
 class LoopCloser:
@@ -99,12 +103,12 @@ class LoopCloser:
         self._searcher.begin([partial(self._question, keyframes, graph, k) for k in places])
         return bool(places)
 
-    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Edge]:
-        """Loop edges that are now believed, from the search begun last and ones that waited.
+    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Candidate]:
+        """Closures that are now believed, from the search begun last and ones that waited.
 
         Keyframes and graph must be as they were when it was begun.
         """
-        accepted: list[Edge] = []
+        accepted: list[Candidate] = []
         for question, closure in self._searcher.answers():
             candidate = self._judge(keyframes, graph, question, closure)
             if candidate is not None:
@@ -179,25 +183,29 @@ class LoopCloser:
         weight = known - known @ np.linalg.solve(known + graph.weight(edge), known)
         chi_square = float(error @ weight @ error)
         travelled = keyframes[-1].travelled_m
-        candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square)
+        gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + covariance @ graph.weight(edge))[1])
+        candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square, gain)
         if chi_square > self._limit:
             self._verdict(candidate, f"chi-square {chi_square:.1f} against the graph")
             self.refuted.append(candidate)
             return None
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         if 3 * sigma > self.config.tight_m:
-            return candidate
+            if result.weak_axis is None:
+                return candidate
+            self._verdict(candidate, "it does not tell where along the walls")
+            return None
         self._record(stamp_ns, anchor, newest, closure, "accepted", chi_square)
         self._accepted_now = candidate
         return candidate
 
     _accepted_now: Candidate | None = None
 
-    def _admit(self, candidate: Candidate, graph: PoseGraph, travelled_m: float) -> list[Edge]:
-        """The edges believed now: a tight one at once, a wide one with its witnesses."""
+    def _admit(self, candidate: Candidate, graph: PoseGraph, travelled_m: float) -> list[Candidate]:
+        """The closures believed now: a tight one at once, a wide one with its witnesses."""
         if candidate is self._accepted_now:
             self._accepted_now = None
-            return [candidate.edge]
+            return [candidate]
         kept = []
         for waiting in self._pending:
             if travelled_m - waiting.travelled_m > self.config.pending_m:
@@ -213,7 +221,7 @@ class LoopCloser:
         believed = [*agreeing, candidate]
         for one in believed:
             self._verdict(one, "accepted")
-        return [one.edge for one in believed]
+        return believed
 
     def _consistent(self, a: Edge, b: Edge, graph: PoseGraph) -> bool:
         """Pairwise consistency (Mangelson et al. 2018): do both closures tell the same story?"""

@@ -299,12 +299,15 @@ class Slam:
         self._closing_due = None
         with self._watch("closing"):
             closures = self.loops.close(self.keyframes, self.graph)
-        if closures:
+        least = self.config.loops.least_gain
+        telling = [closure.edge for closure in closures if closure.gain >= least]
+        if telling:
             with self._watch("optimising"):
-                self.graph.add_edges(closures)
+                self.graph.add_edges(telling)
             self.loops.moved()
-            for edge in closures:
-                self.record_edge(self.keyframes[-1].scan.stamp_ns, edge, True, "")
+        self.graph.add_edges_batch([c.edge for c in closures if c.gain < least])
+        for closure in closures:
+            self.record_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
 
     def _track(
         self, sighting: Sighting, prepared: PreparedScan, between: Sequence[Sighting]

@@ -29,7 +29,7 @@ def candidate(slam, i, j, pose, reason):
     """A closure with its verdict, as the loop closer leaves it behind."""
     slam.loops.verdicts.append(LoopVerdict(j, i, j, reason == "accepted", reason, 0.7, 0.0, 40.0))
     edge = Edge("loop", i, j, pose, SURE)
-    return Candidate(edge, Closure(None, 0.7, 0.0, ""), j, 0.5 * j, 40.0)
+    return Candidate(edge, Closure(None, 0.7, 0.0, ""), j, 0.5 * j, 40.0, 5.0)
 
 
 @pytest.fixture
