@@ -121,7 +121,7 @@ def _find_windows(sums, flags, first, last, limit, windows):
             if w >= 0:
                 a, b = max(first[i], i - HALF_WIDTHS[w]), min(last[i], i + HALF_WIDTHS[w])
             else:
-                w = 0
+                w = np.int64(0)
                 a, b = _one_sided(sums, i, first[i], last[i], limit)
         windows[i, 0], windows[i, 1] = a, b
 

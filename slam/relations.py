@@ -50,6 +50,7 @@ class RelationErrors:
             "trans_mean_m": float(np.mean(self.trans_m)) if some else None,
             "trans_std_m": float(np.std(self.trans_m)) if some else None,
             "trans_median_m": float(np.median(self.trans_m)) if some else None,
+            "trans_max_m": float(np.max(self.trans_m)) if some else None,
             "rot_mean_deg": float(np.mean(self.rot_deg)) if some else None,
             "rot_std_deg": float(np.std(self.rot_deg)) if some else None,
         }

@@ -59,14 +59,15 @@ def test_intel_is_accurate_and_in_time(intel):
     assert relations["missing"] == 0
     assert relations["trans_mean_m"] < 0.10  # by the wheels alone it is 7.37
     assert relations["rot_mean_deg"] < 1.0
+    assert relations["trans_max_m"] < 1.0
     assert figures["timing"]["wall_s"] < 120
 
 
 def test_the_report_has_the_promised_keys(intel):
     figures = figures_of(intel)
     assert set(figures["relations"]) == {
-        "n", "missing", "trans_mean_m", "trans_std_m", "trans_median_m", "rot_mean_deg",
-        "rot_std_deg",
+        "n", "missing", "trans_mean_m", "trans_std_m", "trans_median_m",
+        "trans_max_m", "rot_mean_deg", "rot_std_deg",
     }  # fmt: skip
     promised = {
         "ate_rmse_m", "ate_median_m", "rpe", "final_pose_error_m", "anees", "matches",

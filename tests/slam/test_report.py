@@ -224,7 +224,7 @@ def test_relations_give_the_promised_keys(run, truth, tmp_path):
     report = evaluate(run, path)
     relations = report.figures["relations"]
     assert set(relations) == {
-        *("n", "missing", "trans_mean_m", "trans_std_m", "trans_median_m"),
+        *("n", "missing", "trans_mean_m", "trans_std_m", "trans_median_m", "trans_max_m"),
         *("rot_mean_deg", "rot_std_deg"),
     }
     assert (relations["n"], relations["missing"]) == (4, 1)
