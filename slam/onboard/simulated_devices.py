@@ -11,6 +11,7 @@ from pathlib import Path
 
 from gtsam import Pose2
 
+from drivers.scip_scan import ScanRequest
 from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
 from drivers.simulators.hokuyo_models import MODELS
 from drivers.simulators.link import Device, Line
@@ -58,6 +59,9 @@ class SimulatedDevices:
             raise RunError(str(error)) from error
         model = MODELS[self.laser]
         sweeper = Sweeper(model, place.world, motion, base_T_laser=Pose2(AHEAD_M, 0.0, 0.0))
+        sensor = model.parameters
+        # A sweep before anybody asks: its kernels are compiled when a client counts the seconds.
+        sweeper.distances(ScanRequest("GD", sensor.first_step, sensor.last_step), 0.0)
         head = HokuyoDevice(sweeper, build)
         with tempfile.TemporaryDirectory(prefix="slam-devices-") as made:
             folder = self.folder or Path(made)

@@ -210,10 +210,15 @@ def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tm
         assert "/odom" not in log.counts()
 
 
-def test_a_disk_that_runs_full_ends_the_run_with_what_there_is(simulated, tmp_path):
+def test_a_disk_that_runs_full_ends_the_run_with_what_there_is(simulated, tmp_path, monkeypatch):
     with simulated() as robot:
-        full = RecordingConfig(reserve_mib=2**40)
-        config = robot.config.model_copy(update={"recording": full})
+        end = time.monotonic() + 4.0
+
+        def disk_usage(folder):
+            return SimpleNamespace(free=2**40 if time.monotonic() < end else 0)
+
+        monkeypatch.setattr("logs.recorder.shutil.disk_usage", disk_usage)
+        config = robot.config.model_copy(update={"recording": RecordingConfig(reserve_mib=1)})
         with pytest.raises(RunError, match="kept in reserve"):
             run_online(config, tmp_path / "run", stop=after(20.0), record_only=True)
     with open_log(tmp_path / "run" / "run.mcap") as log:
@@ -363,7 +368,7 @@ def test_devices_that_are_simulated_for_others_can_be_probed(tmp_path):
         assert "UTM-30LX" in out
     finally:
         simulator.send_signal(signal.SIGINT)
-    code, out, _ = finished(simulator)
+        code, out, _ = finished(simulator)
     assert code == 0
     assert str(tmp_path / "p3dx") in out
 
