@@ -18,6 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from slam.bench.pareto_counter import counter_test
 from slam.bench.pareto_drives import (
     LONGEST_M,
     WORLDS,
@@ -68,12 +69,15 @@ def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0)
     draw_pareto(rows, out / "pareto.png")
     say(f"figure: {out / 'pareto.png'}")
     _show(verdicts)
+    counter = counter_test(outcomes)
+    _show_counter(counter)
     logs = [] if quick else bench_logs(data, say)
     meta = {
         "seeds": seeds,
         "first_seed": FIRST_SEED,
         "longest_m": LONGEST_M,
         "against_best_constant": verdicts,
+        "counter_test": counter,
     }
     return {"meta": meta, "rows": rows, "logs": logs}
 
@@ -133,6 +137,22 @@ def row(world: str, setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, 
         "keyframe_ate_m_median": float(np.median([o.keyframe_ate_m for o in outcomes])),
         "cpu_ms_median": float(np.median([outcome.cpu_ms for outcome in outcomes])),
     }
+
+
+def _with_interval(value: float, interval: Sequence[float]) -> str:
+    low, high = interval
+    return f"{value:.2f} ({low:.2f} to {high:.2f})"
+
+
+def _show_counter(rows: Sequence[dict[str, Any]]) -> None:
+    table = Table(title="counter-test: error of a blind choice with as many matches, and permuted")
+    pairs = ("blind_to_information", "blind_to_permuted", "permuted_to_information")
+    for heading in ("world", *(label.replace("_to_", " / ") for label in pairs)):
+        table.add_column(heading)
+    for found in rows:
+        cells = (_with_interval(found[p], found[f"{p}_ci95"]) for p in pairs)
+        table.add_row(found["world"], *cells)
+    Console().print(table)
 
 
 def _show(verdicts: Sequence[dict[str, Any]]) -> None:

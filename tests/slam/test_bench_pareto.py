@@ -6,6 +6,7 @@ import pytest
 from drivers.simulators.drive import EPOCH_NS
 from slam.bench import pareto
 from slam.bench.pareto import Job, drive, row
+from slam.bench.pareto_counter import ALL, as_many, counter_test
 from slam.bench.pareto_drives import Outcome, messages_of, outcome_of, settings
 from slam.bench.pareto_figures import STYLES, draw_pareto
 from slam.bench.pareto_judge import judged, on_other_seeds
@@ -54,6 +55,33 @@ def test_luck_in_the_choice_of_the_best_does_not_count():
     own = np.linspace(-1.0, 1.0, 30)  # as good as they are: zero on average
     assert np.exp(np.mean(own) - np.min(np.mean(constant, axis=1))) > 1.15
     assert on_other_seeds(own, constant) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_blind_choice_with_as_many_matches_lies_between_two_constants():
+    counts, errors = np.array([100.0, 50.0, 25.0]), np.log([[0.4], [0.1], [0.2]])
+    assert np.exp(as_many(50.0, counts, errors)) == pytest.approx(0.1)
+    assert np.exp(as_many(np.sqrt(50.0 * 25.0), counts, errors)) == pytest.approx(np.sqrt(0.02))
+    for beyond, nearest in ((1000.0, 0.4), (2.0, 0.2)):
+        assert np.exp(as_many(beyond, counts, errors)) == pytest.approx(nearest)
+
+
+def test_the_counter_test_tells_a_gain_that_normals_bring_from_one_that_they_do_not():
+    """Here a choice with permuted normals is as good as a blind one, there as the true one."""
+    here, there = made_up(), made_up()
+    for world, error in ((here, 0.2), (there, 0.1)):
+        for s in SETTINGS:
+            if s.method == "constant":
+                world[s] = outcomes(s, 0.2)
+            elif s.method == "information":
+                world[s] = outcomes(s, 0.1)
+            elif s.method == "information-permuted":
+                world[s] = outcomes(s, error)
+    rows = {row["world"]: row for row in counter_test({"here": here, "there": there})}
+    assert rows["here"]["blind_to_information"] == pytest.approx(2.0, rel=1e-3)
+    assert rows["here"]["blind_to_permuted"] == pytest.approx(1.0, rel=1e-3)
+    assert rows["here"]["permuted_to_information"] == pytest.approx(2.0, rel=1e-3)
+    assert rows["there"]["permuted_to_information"] == pytest.approx(1.0, rel=1e-3)
+    assert rows[ALL]["permuted_to_information"] == pytest.approx(np.sqrt(2.0), rel=1e-3)
 
 
 def test_drives_that_are_done_are_kept_unless_made_with_other_settings(tmp_path, monkeypatch):
