@@ -18,6 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from slam.bench.kept_runs import KeptRuns
 from slam.bench.pareto_counter import counter_test
 from slam.bench.pareto_drives import (
     LONGEST_M,
@@ -41,6 +42,7 @@ Outcomes = dict[str, dict[Setting, list[Outcome]]]  # by world, in the order of 
 SEEDS, QUICK_SEEDS = 30, 2
 FIRST_SEED = 2000  # no drive of these seeds was looked at while the methods were made
 KEPT = "pareto-drives"  # folder of the drives that are done
+KEPT_LOGS = "pareto-logs.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,7 @@ def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0)
     _show(verdicts)
     counter = counter_test(outcomes)
     _show_counter(counter)
-    logs = [] if quick else bench_logs(data, say)
+    logs = [] if quick else bench_logs(data, KeptRuns(out / KEPT_LOGS), say)
     meta = {
         "seeds": seeds,
         "first_seed": FIRST_SEED,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from frontend.scan import VALID, prepare
 from logs.importers.breezyslam import read_breezyslam
 from logs.importers.carmen import read_carmen
 from logs.messages import LaserScan, Message
+from slam.bench.kept_runs import KeptRuns
 from slam.bench.pareto_drives import trajectory_of
 from slam.config import SlamConfig
 from slam.offline import run_offline
@@ -43,26 +45,29 @@ REVISIT_M = 1.5  # keyframes as near as this, by the estimate, may look at one p
 APART_M = 6.0  # of path between two visits of a place
 
 
-def bench_logs(data: Path, say: Say) -> list[dict[str, Any]]:
-    """Rows of the logs that are there; those with relations run with loop closure."""
+def bench_logs(data: Path, kept: KeptRuns, say: Say) -> list[dict[str, Any]]:
+    """Rows of the logs that are there; those with relations run with loop closure.
+
+    Runs that are `kept` from an earlier, interrupted campaign are not made again.
+    """
     rows = []
     for name in SURVEYED:
         path = data / "benchmark" / f"{name}.clf.gz"
         if not path.is_file():
             say(f"{path}: not there, left out")
             continue
-        messages = read_carmen(path).messages
         for label, choice in COMPARED.items():
             say(f"{name}: {label}")
-            rows.append({"log": name, "setting": label, **surveyed(messages, choice, path)})
+            found = kept.made(f"{name}: {label}", partial(surveyed, choice, path))
+            rows.append({"log": name, "setting": label, **found})
     for name in UNSURVEYED:
         path = data / "hokuyo" / f"{name}.dat.gz"
         if not path.is_file():
             say(f"{path}: not there, left out")
             continue
-        messages = read_breezyslam(path).messages
         for label, choice in (COMPARED | MORE).items():
-            rows.append({"log": name, "setting": label, **unsurveyed(messages, choice)})
+            found = kept.made(f"{name}: {label}", partial(unsurveyed, choice, path))
+            rows.append({"log": name, "setting": label, **found})
     return rows
 
 
@@ -73,8 +78,9 @@ def _config(choice: dict[str, Any], loops: bool) -> SlamConfig:
     return shipped.model_copy(update={"loops": closing, "keyframes": keyframes})
 
 
-def surveyed(messages: Sequence[Message], choice: dict[str, Any], path: Path) -> dict[str, Any]:
+def surveyed(choice: dict[str, Any], path: Path) -> dict[str, Any]:
     """A whole run with loop closure, against the relations beside the log."""
+    messages = read_carmen(path).messages
     begin = time.process_time()
     result = run_offline(lambda: messages, _config(choice, loops=True))
     cpu_s = time.process_time() - begin
@@ -92,8 +98,9 @@ def surveyed(messages: Sequence[Message], choice: dict[str, Any], path: Path) ->
     }
 
 
-def unsurveyed(messages: Sequence[Message], choice: dict[str, Any]) -> dict[str, Any]:
+def unsurveyed(choice: dict[str, Any], path: Path) -> dict[str, Any]:
     """An open chain, judged by itself: what is left at a revisit, and how sharp the map is."""
+    messages = read_breezyslam(path).messages
     slam = Slam(_config(choice, loops=False))
     begin = time.process_time()
     for message in messages:
