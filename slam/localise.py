@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -25,7 +26,9 @@ class LocaliseConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     every_scan: bool = Field(True, description="match every scan, not only the keyframes")
-    neighbours: int = Field(3, ge=1, description="nearest keyframes a scan is matched against")
+    neighbours: int = Field(
+        4, ge=1, description="keyframes with the most similar view that a scan is matched against"
+    )
     refine_passes: int = Field(0, ge=0, description="global passes that re-match neighbours")
     refine_neighbours: int = Field(6, ge=2, description="keyframes in each such match")
     radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
@@ -106,8 +109,23 @@ def warp(
     return out
 
 
+@dataclass(frozen=True, slots=True)
+class _Located:
+    """The scan before: where it was thought to be, where it was found, how fast it came there."""
+
+    stamp_ns: int
+    guess: Pose2
+    found: Pose2
+    velocity: Matrix | None  # (3,) m, m, rad a ns in its own frame
+
+
 class ScanLocaliser:
-    """Finds the pose of scans, one after the other, among the optimised keyframes."""
+    """Finds the pose of scans, one after the other, among the optimised keyframes.
+
+    A scan is matched against the keyframes whose view is the most like its own: that look at about
+    the same from about the same place.  One that looks at the same from the other side shows other
+    faces of it, and pulls the match along.
+    """
 
     def __init__(
         self, keyframes: Sequence[Keyframe], poses: Matrix, config: LocaliseConfig,
@@ -115,40 +133,52 @@ class ScanLocaliser:
     ) -> None:  # fmt: skip
         self._keyframes = keyframes
         self._poses = [Pose2(*pose) for pose in poses]
-        self._tree = cKDTree(view_centres(keyframes, poses))
+        self._tree = cKDTree(np.hstack([view_centres(keyframes, poses), poses[:, :2]]))
         self._config = config
         self._matcher = matcher
-        self._last: tuple[Pose2, Pose2] | None = None  # guess and result of the scan before
+        self._last: _Located | None = None
         self.matches = 0
 
     def locate(self, scan: PreparedScan, guess: Pose2, doubted: bool = False) -> Pose2:
         """map_T_base of the next scan; the guess where nothing better is found.
 
-        Where the odometry lies between two keyframes the guess is off by more than it should:
-        then the search starts again from where the last scan was found.  A match from the guess
-        is good enough unless that odometry is `doubted`: in a corridor other starts find other
-        places that look alike.
+        Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
+        more than it should: then the search starts again from where the last scan was found.  A
+        match from the guess is good enough unless that odometry is `doubted`: in a corridor other
+        starts find other places that look alike.
         """
-        starts = [guess]
         enough = self._config.good_quality if doubted else self._config.min_quality
-        if self._last is not None:
-            last_guess, last_found = self._last
-            starts += [last_found * last_guess.between(guess), last_found]
         best, best_quality = guess, self._config.min_quality
-        for start in starts:
+        for start in (guess, *self._other_starts(scan.stamp_ns, guess)):
             found, quality = self._match(scan, start)
             if quality > best_quality:
                 best, best_quality = found, quality
             if best_quality > enough:
                 break
-        self._last = guess, best
+        self._last = self._located(scan.stamp_ns, guess, best)
         return best
+
+    def _other_starts(self, stamp_ns: int, guess: Pose2) -> list[Pose2]:
+        """From the last scan on: as the odometry says, at the same speed, or not at all."""
+        last = self._last
+        if last is None:
+            return []
+        starts = [last.found * last.guess.between(guess)]
+        if last.velocity is not None:
+            starts.append(last.found * Pose2.Expmap(last.velocity * (stamp_ns - last.stamp_ns)))
+        return [*starts, last.found]
+
+    def _located(self, stamp_ns: int, guess: Pose2, found: Pose2) -> _Located:
+        last, velocity = self._last, None
+        if last is not None and stamp_ns > last.stamp_ns:
+            velocity = Pose2.Logmap(last.found.between(found)) / (stamp_ns - last.stamp_ns)
+        return _Located(stamp_ns, guess, found, velocity)
 
     def _match(self, scan: PreparedScan, guess: Pose2) -> tuple[Pose2, float]:
         """The matched pose and its quality, 0 where it is refused."""
         count = min(self._config.neighbours, len(self._poses))
-        looks_at = guess.transformFrom(scan.centre)
-        near = np.atleast_1d(self._tree.query(looks_at, k=count)[1])
+        view = (*guess.transformFrom(scan.centre), guess.x(), guess.y())
+        near = np.atleast_1d(self._tree.query(view, k=count)[1])
         base = self._poses[int(near[0])]
         references = [
             Reference(base.between(self._poses[int(n)]), self._keyframes[int(n)].prepared)
