@@ -121,7 +121,7 @@ class LoopCloser:
         stride = max(1, self.config.target_half)
         for k in keyframes[len(self._anchors_m) * stride :: stride]:
             self._anchors_m.append(k.travelled_m)
-            self._looks_at.append((float(k.prepared.centre[0]), float(k.prepared.centre[1])))
+            self._looks_at.append((float(k.centre[0]), float(k.centre[1])))
         count = bisect_left(self._anchors_m, newest.travelled_m - self.config.min_path_m)
         if not count:
             return []

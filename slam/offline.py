@@ -95,7 +95,7 @@ def run_offline(
             truth.append(message)
         tell("tracking", count)
     slam.finish_input()
-    if slam.scan_stamps_ns and not has_odometry:
+    if len(slam.scans) and not has_odometry:
         raise SlamError(
             f"no usable odometry among {count + 1} messages: record the robot's wheels (/odom) too"
         )
@@ -124,7 +124,7 @@ def finish(
 ) -> Result:
     """Optimise a graph whose input has ended, and make all results from it."""
     if slam.graph is None:
-        seen = len(slam.scan_stamps_ns)
+        seen = len(slam.scans)
         raise SlamError(
             f"no usable scan among {seen}: the log must hold scans with at least "
             f"{slam.config.matcher.min_pairs} returns each" + _left_out(slam)
@@ -139,8 +139,8 @@ def finish(
             graph.optimise()
         marginals = graph.marginals()
     poses = graph.poses.copy()
-    stamps = np.array(slam.scan_stamps_ns, dtype=np.int64)
-    odometry = np.array(slam.odom_poses)
+    stamps = slam.scans.stamps_ns
+    odometry = slam.scans.odom_poses
     keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
     before = np.searchsorted(keyframe_scans, np.arange(len(stamps)), side="right") - 1
     bent = warp(odometry, before, keyframe_scans, poses)
@@ -226,16 +226,16 @@ def _localise(
     found = guesses.copy()
     keyframe_scans = [k.scan_index for k in slam.keyframes]
     after = np.searchsorted(keyframe_scans, np.arange(len(guesses)))  # keyframe at or after it
-    row = 0
+    stamps, row = slam.scans.stamps_ns, 0
     for message in _timed(source(), watch):
         if row == len(found):
             break
         if not isinstance(message, LaserScan) or flaw(message):
             continue
-        if message.stamp_ns != slam.scan_stamps_ns[row]:
+        if message.stamp_ns != stamps[row]:
             continue
-        if slam.sweeps:
-            message = unbend(message, slam.mount, slam.sweeps[row])
+        if (sweep := slam.scans.sweep(row)) is not None:
+            message = unbend(message, slam.mount, sweep)
         scan = prepare(message, slam.mount, slam.config.scan)
         pose = localiser.locate(scan, Pose2(*guesses[row]), int(after[row]) in slam.doubted)
         found[row] = pose.x(), pose.y(), pose.theta()

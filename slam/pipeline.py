@@ -18,7 +18,7 @@ from backend.pose_graph import Edge, PoseGraph
 from frontend.information import Outlook
 from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
 from frontend.matching import Prior, Reference
-from frontend.scan import PreparedScan, prepare
+from frontend.scan import PreparedScan
 from frontend.unbend import unbend
 from logs.messages import (
     FactorRecord,
@@ -30,12 +30,13 @@ from logs.messages import (
     WheelOdometry,
 )
 from slam.config import SlamConfig
-from slam.keyframe import Keyframe
+from slam.keyframe import Keyframe, preparer
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
 from slam.odometry_faults import LieDetector, Step
 from slam.past import Past, locate
 from slam.records import decision_record, estimate_record, factor_record
+from slam.scan_track import ScanTrack
 from slam.sightings import Paired, ScanPairing, Sighting, sight
 from slam.stopwatch import NoWatch
 from slam.tracking import Tracked, starts_in_doubt, track
@@ -59,11 +60,7 @@ class Slam:
         self.config = config
         self._watch = watch or NoWatch()
         self.keyframes: list[Keyframe] = []
-        self.scan_stamps_ns: list[int] = []
-        self.odom_poses: list[tuple[float, float, float]] = []  # odom_T_base of each scan
-        self.sweeps: list[
-            tuple[float, float, float]
-        ] = []  # motion while it was taken, of each scan
+        self.scans = ScanTrack()
         self.decisions: list[KeyframeDecision] = []
         self.factors: list[FactorRecord] = []
         self.estimates: list[PoseEstimate] = []
@@ -75,6 +72,7 @@ class Slam:
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
+        self._prepare = preparer(config.scan)
         self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
         self._pairing = ScanPairing(config.scan.unbend)
@@ -94,10 +92,8 @@ class Slam:
         self._past = past
         self.mount = past.mount
         self.keyframes = list(past.keyframes)
-        self.scan_stamps_ns = [k.scan.stamp_ns for k in past.keyframes]
-        self.odom_poses = [
-            (k.odom_T_base.x(), k.odom_T_base.y(), k.odom_T_base.theta()) for k in past.keyframes
-        ]
+        for k in past.keyframes:
+            self.scans.append(k.scan.stamp_ns, k.odom_T_base)
         self.factors, self.decisions = list(past.factors), list(past.decisions)
         self.graph = PoseGraph.restored(past.poses, past.edges, self.config.graph)
 
@@ -153,23 +149,21 @@ class Slam:
     def _take(self, paired: Paired) -> None:
         """Use one scan whose odometry is known."""
         scan, odom_T_base = paired.scan, paired.odom_T_base
-        if self.scan_stamps_ns and scan.stamp_ns <= self.scan_stamps_ns[-1]:
+        if len(self.scans) and scan.stamp_ns <= self.scans.last_ns:
             self.lost["scan with a stamp that runs backwards"] += 1
             return
         if not np.isfinite(scan.ranges).any():
             self.noted["scan without any return"] += 1
-        if self.scan_stamps_ns and scan.stamp_ns - self.scan_stamps_ns[-1] > GAP_NS:
+        if len(self.scans) and scan.stamp_ns - self.scans.last_ns > GAP_NS:
             self.odometry_faults["scan-gap"] += 1
         if self.config.scan.unbend:
             scan = unbend(scan, self.mount, paired.moved)
-            self.sweeps.append(paired.moved)
-        self._latest = sight(scan, odom_T_base, len(self.scan_stamps_ns), self._latest)
-        self.scan_stamps_ns.append(scan.stamp_ns)
-        self.odom_poses.append((odom_T_base.x(), odom_T_base.y(), odom_T_base.theta()))
+        self._latest = sight(scan, odom_T_base, len(self.scans), self._latest)
+        sweep = paired.moved if self.config.scan.unbend else None
+        self.scans.append(scan.stamp_ns, odom_T_base, sweep)
         self._consider(self._latest)
         if self.lost_in_the_past:  # nothing says where it was taken
-            self.scan_stamps_ns.pop()
-            self.odom_poses.pop()
+            self.scans.pop()
             self.lost["scan before the robot was found in the map"] += 1
 
     def _consider(self, sighting: Sighting) -> None:
@@ -177,7 +171,7 @@ class Slam:
         if self._closing_due is not None and sighting.index >= self._closing_due:
             self._close_loops()
         if self._kept is None:
-            prepared = prepare(sighting.scan, self.mount, self.config.scan)
+            prepared = self._prepare(sighting.scan, self.mount)
             if prepared.valid < self.config.matcher.min_pairs:
                 return
             if self._past is None:
@@ -252,7 +246,7 @@ class Slam:
         no scan is left between, is what keeps the track when the odometry lies.  After a long bad
         stretch that can be dozens of keyframes: they are left to the next steps, while scans wait.
         """
-        prepared = prepare(sighting.scan, self.mount, self.config.scan)
+        prepared = self._prepare(sighting.scan, self.mount)
         if prepared.valid < self.config.matcher.min_pairs:
             self.noted["keyframe postponed: scan too empty"] += 1
             return
@@ -383,7 +377,9 @@ class Slam:
                 len(self.keyframes),
                 sighting.index,
                 sighting.scan,
-                prepared,
+                self.mount,
+                self._prepare,
+                prepared.centre,
                 sighting.odom_T_base,
                 travelled,
             )

@@ -6,6 +6,7 @@ import hashlib
 import platform
 import resource
 import time
+from array import array
 from collections.abc import Iterable, Sequence
 from itertools import chain, repeat
 from pathlib import Path
@@ -34,7 +35,7 @@ class TimedStep:
     """Hands messages to the pipeline and notes how long each took."""
 
     def __init__(self) -> None:
-        self.milliseconds: list[float] = []
+        self.milliseconds = array("d")
 
     def __call__(self, slam: Slam, message: Message) -> None:
         """One step, timed."""

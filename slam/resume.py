@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from gtsam import Pose2
 
-from frontend.scan import prepare
 from logs.messages import KeyframeDecision, LaserMount, LaserScan, TruePose
 from slam.config import SlamConfig
 from slam.errors import RunError
-from slam.keyframe import Keyframe
+from slam.keyframe import Keyframe, preparer
 from slam.past import Matrix, Past
 from slam.reoptimise import read_stored
 from slam.trajectory import path_length
@@ -33,9 +32,10 @@ def read_past(directory: Path, config: SlamConfig, start: str = "") -> Past:
     mount = mounts[-1] if mounts else LaserMount(0, 0.0, 0.0, 0.0)
     odometry = dict(zip(stored.odometry.stamps_ns.tolist(), stored.odometry.poses, strict=True))
     travelled = path_length(stored.keyframes.poses)
+    prepare = preparer(config.scan)
     keyframes = [
         Keyframe(
-            k, k, scans[stamp], prepare(scans[stamp], mount, config.scan),
+            k, k, scans[stamp], mount, prepare, prepare(scans[stamp], mount).centre,
             Pose2(*odometry[stamp]), float(travelled[k]),
         )
         for k, stamp in enumerate(stamps.tolist())

@@ -25,8 +25,8 @@ LATE_S = 0.25  # a report can be stamped so late: delay, merging and its time on
 def differences(live: Slam, again: Slam) -> list[str]:
     """In what a live run and the replay of its log differ; they must not, by a single bit."""
     pairs = {
-        "stamps": (live.scan_stamps_ns, again.scan_stamps_ns),
-        "odometry": (live.odom_poses, again.odom_poses),
+        "stamps": (live.scans.stamps_ns.tobytes(), again.scans.stamps_ns.tobytes()),
+        "odometry": (live.scans.odom_poses.tobytes(), again.scans.odom_poses.tobytes()),
         "decisions": (repr(live.decisions), repr(again.decisions)),
         "factors": (repr(live.factors), repr(again.factors)),
         "verdicts": (repr(live.loops.verdicts), repr(again.loops.verdicts)),

@@ -147,7 +147,7 @@ def outcome_of(messages: Sequence[SensorMessage], setting: Setting) -> Outcome:
     assert slam.graph is not None
     truth = {m.stamp_ns: (m.x, m.y, m.theta) for m in messages if isinstance(m, TruePose)}
     rows, found = trajectory_of(slam, messages, LOCALISED)
-    stamps = np.array(slam.scan_stamps_ns, dtype=np.int64)
+    stamps = slam.scans.stamps_ns
     keyframes = np.array([k.scan_index for k in slam.keyframes])
     return Outcome(
         slam.matches, len(slam.keyframes),
@@ -164,14 +164,14 @@ def trajectory_of(
     assert slam.graph is not None
     scans = {m.stamp_ns: m for m in messages if isinstance(m, LaserScan)}
     keyframes = np.array([k.scan_index for k in slam.keyframes])
-    poses = slam.graph.poses.copy()
-    rows = np.arange(0, len(slam.scan_stamps_ns), every)
-    before = np.searchsorted(keyframes, np.arange(len(slam.odom_poses)), side="right") - 1
-    bent = warp(np.array(slam.odom_poses), before, keyframes, poses)
+    poses, stamps = slam.graph.poses.copy(), slam.scans.stamps_ns
+    rows = np.arange(0, len(slam.scans), every)
+    before = np.searchsorted(keyframes, np.arange(len(slam.scans)), side="right") - 1
+    bent = warp(slam.scans.odom_poses, before, keyframes, poses)
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = np.empty((len(rows), 3))
     for k, row in enumerate(rows.tolist()):
-        scan = prepare(scans[slam.scan_stamps_ns[row]], slam.mount, slam.config.scan)
+        scan = prepare(scans[int(stamps[row])], slam.mount, slam.config.scan)
         pose = localiser.locate(scan, Pose2(*bent[row]))
         found[k] = pose.x(), pose.y(), pose.theta()
     return rows, found

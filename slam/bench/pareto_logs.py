@@ -156,9 +156,10 @@ def map_cells(
 ) -> int:
     """Cells of CELL_M that hold a point of any scan: the same scans fill fewer in a sharper map."""
     scans = {m.stamp_ns: m for m in messages if isinstance(m, LaserScan)}
+    stamps = slam.scans.stamps_ns
     cells: set[tuple[int, int]] = set()
     for row, pose in zip(rows.tolist(), poses, strict=True):
-        scan = prepare(scans[slam.scan_stamps_ns[row]], slam.mount, slam.config.scan)
+        scan = prepare(scans[int(stamps[row])], slam.mount, slam.config.scan)
         points = scan.points[(scan.flags & VALID) > 0]
         placed = Pose2(*pose).transformFrom(np.asfortranarray(points.T))
         cells.update(map(tuple, np.floor(placed / CELL_M).astype(np.int64).T.tolist()))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from gtsam import Pose2
-
 from logs.messages import KeyframeDecision, LaserMount, LaserScan, LoopVerdict, OccupancyMap
 from slam.keyframe import Keyframe
 from slam.occupancy import MapConfig
@@ -41,7 +39,7 @@ def take(slam: Slam) -> Snapshot | None:
     if slam.graph is None:
         return None
     last = slam.keyframes[-1]
-    pose = slam.graph.pose(last.index) * last.odom_T_base.between(Pose2(*slam.odom_poses[-1]))
+    pose = slam.graph.pose(last.index) * last.odom_T_base.between(slam.scans.last_odometry)
     estimate = slam.estimates[-1] if slam.estimates else None
     return Snapshot(
         mount=slam.mount,
@@ -53,7 +51,7 @@ def take(slam: Slam) -> Snapshot | None:
         pose=(pose.x(), pose.y(), pose.theta()),
         covariance=estimate.covariance if estimate else (),
         lost=estimate.lost if estimate else False,
-        scans=len(slam.scan_stamps_ns),
+        scans=len(slam.scans),
         matches=slam.matches,
         map_config=slam.config.map,
         interval_unit=slam.config.keyframes.unit,
@@ -75,7 +73,7 @@ def take_result(result: Result) -> Snapshot:
         pose=(x, y, theta),
         covariance=estimate.covariance,
         lost=estimate.lost,
-        scans=len(slam.scan_stamps_ns),
+        scans=len(slam.scans),
         matches=result.matches,
         map_config=slam.config.map,
         interval_unit=slam.config.keyframes.unit,

@@ -117,7 +117,7 @@ def _map(
     """Finish the graph, write all results, and return the summary."""
     if not live.intake.scans:
         raise SlamError("no scan came in: the recording is kept, the map is not made")
-    if slam.scan_stamps_ns and not live.has_odometry:
+    if len(slam.scans) and not live.has_odometry:
         raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
 
     def source() -> Iterator[Message]:

@@ -93,7 +93,7 @@ def figure(page, name: str) -> float:
 
 
 def wait_for_scans(page, live) -> None:
-    expect(page.locator("#scans")).to_have_text(str(len(live.slam.scan_stamps_ns)))
+    expect(page.locator("#scans")).to_have_text(str(len(live.slam.scans)))
     page.wait_for_timeout(200)  # a picture or two
 
 

@@ -135,7 +135,7 @@ def test_keyframes_do_not_starve(run_in, method, name):
     kept = {k.scan_index for k in slam.keyframes}
     last = None
     for index, scan in enumerate(slam.seen):
-        odom_T_base, seconds = Pose2(*slam.odom_poses[index]), 1e-9 * scan.stamp_ns
+        odom_T_base, seconds = Pose2(*slam.scans.odom_poses[index]), 1e-9 * scan.stamp_ns
         if index in kept or last is None:
             last = (odom_T_base, seconds)
             continue

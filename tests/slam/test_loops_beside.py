@@ -74,7 +74,7 @@ def test_a_result_is_waited_for_at_a_scan_that_is_known_beforehand(circles, inli
     made = []
 
     def beside(*work):
-        made.append(Procrastinated(work, lambda: slam.scan_stamps_ns))
+        made.append(Procrastinated(work, lambda: slam.scans))
         return made[-1]
 
     slam = Slam(SOON, beside=beside)
