@@ -71,6 +71,7 @@ class FactorMaker:
         # A batch asks for each many times.
         self._weights: dict[Edge, Matrix] = {}
         self._gaussians: dict[Edge, gtsam.noiseModel.Gaussian] = {}
+        self._factors: dict[tuple[Edge, bool], gtsam.BetweenFactorPose2] = {}
 
     def anchor(self, map_T_first: Pose2) -> gtsam.PriorFactorPose2:
         """The prior that holds keyframe 0."""
@@ -84,11 +85,15 @@ class FactorMaker:
     ) -> gtsam.BetweenFactorPose2:
         """The factor of an edge, under `kernel` or, if robust, the one of its kind."""
         if kernel is not None:
-            gaussian = self._gaussian(edge)
-            noise: gtsam.noiseModel.Base = gtsam.noiseModel.Robust.Create(kernel, gaussian)
-        else:
-            noise = self._noise(edge, robust and self.config.robust)
-        return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
+            noise = gtsam.noiseModel.Robust.Create(kernel, self._gaussian(edge))
+            return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
+        robust = robust and self.config.robust
+        known = self._factors.get((edge, robust))
+        if known is None:
+            noise = self._noise(edge, robust)
+            known = gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
+            self._factors[edge, robust] = known
+        return known
 
     def weight(self, edge: Edge) -> Matrix:
         """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
@@ -153,7 +158,7 @@ def values_of(poses: Matrix) -> gtsam.Values:
     return values
 
 
-def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> BatchResult:
+def optimise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> BatchResult:
     """Optimise everything from `poses` (n, 3); keyframe 0 is held where it is.
 
     Where the graph that believes all loops contradicts some, plain least squares and two
@@ -165,15 +170,14 @@ def optimise(poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> Batch
     Raises:
         GraphError: the optimiser gave up, which a graph with near-singular edges can cause.
     """
-    maker = FactorMaker(config)
+    config = maker.config
     loops = [k for k, edge in enumerate(edges) if edge.kind == "loop"]
     try:
         settled = _descend(poses, edges, maker, None)
         weights = dict.fromkeys(loops, 1.0)
         if config.reject_loops and (chi_squares(settled, edges, maker)[loops] > SUSPICIOUS).any():
             # Plain least squares takes part: from a bad start only it pulls hard enough.
-            plain = FactorMaker(config.model_copy(update={"robust": False}))
-            rivals = [settled, _descend(poses, edges, plain, None, iterations=10)]
+            rivals = [settled, _descend(poses, edges, maker, None, iterations=10, robust=False)]
             rivals += [_descend(poses, edges, maker, _ESTIMATORS.DCS.Create(1.0))]
             rivals += [_narrowing(poses, edges, maker)]
             settled = min(rivals, key=lambda found: truncated_cost(found, edges, maker))
@@ -236,6 +240,7 @@ def _descend(
     maker: FactorMaker,
     loop_kernel: gtsam.noiseModel.mEstimator.Base | None,
     iterations: int = 50,
+    robust: bool = True,
 ) -> Matrix:
     """Levenberg-Marquardt, coarse, from `poses`; loops under `loop_kernel` or the configured one.
 
@@ -244,7 +249,7 @@ def _descend(
     graph = gtsam.NonlinearFactorGraph()
     graph.add(maker.anchor(Pose2(*poses[0])))
     for edge in edges:
-        graph.add(maker.between(edge, True, loop_kernel if edge.kind == "loop" else None))
+        graph.add(maker.between(edge, robust, loop_kernel if edge.kind == "loop" else None))
     optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values_of(poses), _lm(iterations, COARSE))
     found: Matrix = gtsam.utilities.extractPose2(optimiser.optimize())
     return found

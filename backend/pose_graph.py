@@ -14,7 +14,7 @@ from backend.edges import Edge, GraphError, Matrix, relative_covariance
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 
-SETTLE = 3  # further ISAM2 updates after a loop, at most
+SETTLE = 3  # further ISAM2 updates after a loop that turns poses, at most
 
 
 class PoseGraph:
@@ -96,12 +96,16 @@ class PoseGraph:
         for edge in edges:
             if not (0 <= edge.i < self._count and 0 <= edge.j < self._count and edge.i != edge.j):
                 raise GraphError(f"edge {edge.i}-{edge.j}: no such pair of keyframes")
-        moved = self._update(edges, gtsam.Values())
-        for _ in range(SETTLE):  # a loop moves much at once: let ISAM2 settle
-            if not moved:
-                break
-            moved = self._isam.update().getVariablesRelinearized()
+        headings = self.poses[:, 2].copy()
+        self._update(edges, gtsam.Values())
         self._refresh(self._isam.calculateEstimate())
+        for _ in range(SETTLE):  # what is turned much at once has to be linearised anew
+            turns = np.abs(np.sin(self.poses[:, 2] - headings))
+            if turns.max() < self.config.relinearise_rot:
+                break
+            headings = self.poses[:, 2].copy()
+            self._isam.update()
+            self._refresh(self._isam.calculateEstimate())
 
     def add_edges_batch(self, edges: Sequence[Edge]) -> None:
         """Add edges that only the next batch optimisation shall see; ISAM2 stays as it is."""
@@ -140,11 +144,21 @@ class PoseGraph:
             return np.array([isam.marginalCovariance(x) for x in names])
 
     def relative(self, i: int, j: int) -> tuple[Pose2, Matrix]:
-        """Estimate of i_T_j and its (3, 3) covariance in frame j, from the joint marginal."""
-        i_T_j = self.pose(i).between(self.pose(j))
-        joint = self._isam.jointMarginalCovariance(gtsam.KeyVector([X(i), X(j)]))
-        blocks = [[joint.at(X(a), X(b)) for b in (i, j)] for a in (i, j)]
-        return i_T_j, relative_covariance(np.block(blocks), i_T_j)
+        """Estimate of i_T_j and its (3, 3) covariance in frame j."""
+        return self.relatives([i], j)[0]
+
+    def relatives(self, anchors: Sequence[int], j: int) -> list[tuple[Pose2, Matrix]]:
+        """The same for several i, from one joint marginal.
+
+        Most of the work is to walk ISAM2's tree up from them, a way that near anchors share.
+        """
+        joint = self._isam.jointMarginalCovariance(gtsam.KeyVector([X(k) for k in (*anchors, j)]))
+        found = []
+        for i in anchors:
+            i_T_j = self.pose(i).between(self.pose(j))
+            blocks = [[joint.at(X(a), X(b)) for b in (i, j)] for a in (i, j)]
+            found.append((i_T_j, relative_covariance(np.block(blocks), i_T_j)))
+        return found
 
     def optimise(self) -> Matrix:
         """Optimise everything in one batch from the current estimates; (n, 3) poses.
@@ -152,7 +166,7 @@ class PoseGraph:
         Raises:
             GraphError: the optimiser gave up.
         """
-        result = optimise(self.poses, self.edges, self.config)
+        result = optimise(self.poses, self.edges, self._maker)
         self.loop_weights = result.loop_weights
         self._poses[: self._count] = result.poses
         return self.poses.copy()
@@ -173,19 +187,17 @@ class PoseGraph:
         isam.update(graph, values)
         return isam
 
-    def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> int:
-        """Give ISAM2 edges and new poses; how many poses it linearised anew.
+    def _update(self, edges: Sequence[Edge], values: gtsam.Values) -> None:
+        """Give ISAM2 edges and new poses.
 
         Cholesky refuses a heading that is known thousands of times worse than a position, as
         after many keyframes in a row without a match.  QR, twice as slow, does not.
         """
         try:
-            moved: int = self._isam.update(self._factors(edges), values).getVariablesRelinearized()
+            self._isam.update(self._factors(edges), values)
         except RuntimeError:
             self._start_again(edges, values)
-            moved = 0
         self.edges += edges
-        return moved
 
     def _start_again(self, edges: Sequence[Edge], values: gtsam.Values) -> None:
         """Build ISAM2 anew with QR, from all edges at the present poses, and these."""
@@ -224,11 +236,16 @@ def _first_line(error: Exception) -> str:
 
 
 def _isam_parameters(config: GraphConfig) -> gtsam.ISAM2Params:
-    """Between factors bend with the heading alone: a shifted pose needs no new linearisation."""
+    """Between factors bend with the heading alone: a shifted pose needs no new linearisation.
+
+    Which poses do is looked for from the tree's root down, as far as there are any: to go through
+    all of them would make each keyframe dearer than the last.
+    """
     thresholds = gtsam.ISAM2ThresholdMap()
     trans, rot = config.relinearise_trans, config.relinearise_rot
     thresholds.insert(("x", np.array([trans, trans, rot])))
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(thresholds)
     parameters.relinearizeSkip = config.relinearise_skip
+    parameters.enablePartialRelinearizationCheck = True
     return parameters

@@ -100,7 +100,8 @@ class LoopCloser:
             return False
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
-        self._searcher.begin([partial(self._question, keyframes, graph, k) for k in places])
+        ask = partial(self._questions, keyframes, graph, places)
+        self._searcher.begin(ask if places else None)
         return bool(places)
 
     def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Candidate]:
@@ -150,20 +151,18 @@ class LoopCloser:
         base = graph.pose(origin)
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
 
-    def _question(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchor: int
-    ) -> LoopQuestion:
-        newest = keyframes[-1].index
-        half = self.config.target_half
-        target = range(max(0, anchor - half), min(newest, anchor + half + 1))
-        old = self._submap(keyframes, graph, target, anchor)
-        query = self._submap(
-            keyframes,
-            graph,
-            range(max(0, newest - self.config.query_keyframes + 1), newest + 1),
-            newest,
-        )
-        return LoopQuestion(anchor, old, query, *graph.relative(anchor, newest))
+    def _questions(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int]
+    ) -> list[LoopQuestion]:
+        newest, half = keyframes[-1].index, self.config.target_half
+        recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
+        query = self._submap(keyframes, graph, recent, newest)
+        questions = []
+        for anchor, known in zip(anchors, graph.relatives(anchors, newest), strict=True):
+            target = range(max(0, anchor - half), min(newest, anchor + half + 1))
+            old = self._submap(keyframes, graph, target, anchor)
+            questions.append(LoopQuestion(anchor, old, query, *known))
+        return questions
 
     def _judge(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, question: LoopQuestion,

@@ -45,13 +45,13 @@ class LoopSearcher:
         """Whether a search is at work; of interest to those who measure, not to the graph."""
         return self._searching is not None and not self._searching.done()
 
-    def begin(self, questions: Sequence[Callable[[], LoopQuestion]]) -> None:
-        """Search for the answers, which must be taken before the next begin.
+    def begin(self, ask: Callable[[], Sequence[LoopQuestion]] | None) -> None:
+        """Search for the answers, which must be taken before the next begin; None: nothing.
 
         The questions are put by the search itself, for that takes time too: what they are
         made of must not change until then.
         """
-        self._searching = self._beside(self._search, questions) if questions else None
+        self._searching = self._beside(self._search, ask) if ask else None
 
     def answers(self) -> Iterable[Answer]:
         """Each question with its answer, in the order asked; waits for a search that runs."""
@@ -64,8 +64,8 @@ class LoopSearcher:
         """Old places have moved within: make new maps of them."""
         self._fields.clear()
 
-    def _search(self, questions: Sequence[Callable[[], LoopQuestion]]) -> list[Answer]:
-        return [(asked, self._answer(asked)) for asked in (question() for question in questions)]
+    def _search(self, ask: Callable[[], Sequence[LoopQuestion]]) -> list[Answer]:
+        return [(asked, self._answer(asked)) for asked in ask()]
 
     def _answer(self, question: LoopQuestion) -> Closure:
         anchor = question.anchor

@@ -11,7 +11,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from backend.batch import OUTLIER, BatchResult, FactorMaker, GraphConfig, optimise
+from backend.batch import OUTLIER, BatchResult, FactorMaker, optimise
 from backend.edges import Edge, capped
 from backend.g2o import read_g2o, write_g2o
 from logs.mcap_log import LogWriter, open_log
@@ -64,13 +64,14 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     config = settings.graph.model_copy(update={"match_sigma_trans": 0.0, "match_sigma_rot": 0.0})
     edges = [capped(edge) for edge in graph.edges]
     tamed = sum(a is not b for a, b in zip(edges, graph.edges, strict=True))
-    result = optimise(graph.poses, edges, config)
+    maker = FactorMaker(config)
+    result = optimise(graph.poses, edges, maker)
     with new_run(out) as partial:
         # A g2o file has no times: a second a vertex.  Ids may be too large to count seconds.
         stamps = np.arange(len(graph.ids)) * 1_000_000_000
         write_tum(partial / "keyframes.tum", Trajectory(stamps, result.poses))
         write_tum(partial / "trajectory.tum", Trajectory(stamps, result.poses))
-        _write_graph(partial, edges, result, config)
+        _write_graph(partial, edges, result, maker)
         summary = _summary(source.name, edges, result, settings)
         summary |= {"edges_tamed": tamed, "lines_skipped": graph.skipped}
         write_summary(partial, summary)
@@ -80,7 +81,8 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
 def _reoptimise_run(source: Path, out: Path, settings: SlamConfig) -> dict[str, Any]:
     run = read_stored(source)
     poses = run.keyframes.poses
-    result = optimise(poses, run.edges, settings.graph)
+    maker = FactorMaker(settings.graph)
+    result = optimise(poses, run.edges, maker)
     rows = np.searchsorted(run.trajectory.stamps_ns, run.keyframes.stamps_ns)
     before = np.searchsorted(rows, np.arange(len(run.trajectory.stamps_ns)), side="right") - 1
     owner = np.maximum(before, 0)
@@ -91,7 +93,7 @@ def _reoptimise_run(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
         write_tum(partial / "trajectory.tum", trajectory)
         write_tum(partial / "keyframes.tum", Trajectory(run.keyframes.stamps_ns, result.poses))
         write_tum(partial / "odometry.tum", run.odometry)
-        _write_graph(partial, run.edges, result, settings.graph)
+        _write_graph(partial, run.edges, result, maker)
         _write_map(partial, run, trajectory, settings)
         _write_log(partial / "run.mcap", run, result, source.name, settings)
         write_summary(partial, _summary(source.name, run.edges, result, settings))
@@ -142,9 +144,8 @@ def _edge(record: FactorRecord) -> Edge:
 
 
 def _write_graph(
-    directory: Path, edges: list[Edge], result: BatchResult, config: GraphConfig
+    directory: Path, edges: list[Edge], result: BatchResult, maker: FactorMaker
 ) -> None:
-    maker = FactorMaker(config)
     believed = [e for k, e in enumerate(edges) if result.loop_weights.get(k, 1.0) >= OUTLIER]
     write_g2o(directory / "graph.g2o", result.poses, believed, [maker.weight(e) for e in believed])
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 
-from backend.batch import OUTLIER, GraphConfig, optimise
+from backend.batch import OUTLIER, FactorMaker, GraphConfig, optimise
 from backend.edges import Edge
 from backend.g2o import G2oGraph, read_g2o
 from slam.errors import RunError
@@ -42,7 +42,7 @@ def bench_outliers(data: Path, quick: bool, say: Callable[[str], None]) -> dict[
         clean = optimise(
             graph.poses,
             graph.edges,
-            GraphConfig(**PLAIN, robust=False, reject_loops=False),
+            FactorMaker(GraphConfig(**PLAIN, robust=False, reject_loops=False)),
         ).poses
         for share in SHARES[:2] if quick else SHARES:
             say(f"{name}: {share:.0%} false loops")
@@ -55,7 +55,7 @@ def _mixed(
 ) -> dict[str, Any]:
     false = false_loops(graph, share, np.random.default_rng(1))
     begin = time.perf_counter()
-    result = optimise(graph.poses, [*graph.edges, *false], config)
+    result = optimise(graph.poses, [*graph.edges, *false], FactorMaker(config))
     wall = time.perf_counter() - begin
     refused = {k for k, weight in result.loop_weights.items() if weight < OUTLIER}
     hits = sum(k >= len(graph.edges) for k in refused)
