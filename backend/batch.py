@@ -85,8 +85,8 @@ class FactorMaker:
     ) -> gtsam.BetweenFactorPose2:
         """The factor of an edge, under `kernel` or, if robust, the one of its kind."""
         if kernel is not None:
-            noise = gtsam.noiseModel.Robust.Create(kernel, self._gaussian(edge))
-            return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, noise)
+            robustly = gtsam.noiseModel.Robust.Create(kernel, self._gaussian(edge))
+            return gtsam.BetweenFactorPose2(X(edge.i), X(edge.j), edge.i_T_j, robustly)
         robust = robust and self.config.robust
         known = self._factors.get((edge, robust))
         if known is None:
