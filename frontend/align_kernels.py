@@ -1,19 +1,30 @@
-"""The whole point-to-line match in one compiled call: passes, then what they are worth."""
+"""The whole point-to-line match in one compiled call: all starts and passes, and their worth."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import kernel, part
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
-from frontend.evidence_kernels import discount_weak_axis, step_back
-from frontend.icp_kernels import SYSTEM, gauss_newton
+from frontend.evidence_kernels import DOUBTED_PAIRS, discount_weak_axis, step_back
+from frontend.icp_kernels import (
+    COST,
+    FITTING,
+    INLIERS,
+    PAIRED,
+    PAIRS,
+    SYSTEM,
+    TRIED,
+    WEIGHT,
+    gauss_newton,
+)
 from frontend.scatter_kernels import scatter
 
 TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
+COARSE = 2  # passes after which other starts are compared
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def align(
     source_points,
     source_lines,
@@ -27,68 +38,268 @@ def align(
     geometries,
     reach2,
     poses,
-    pose,
-    prior,
+    x,
+    y,
+    theta,
+    prior_x,
+    prior_y,
+    prior_theta,
     prior_covariance,
     has_prior,
     passes,
+    others,
     noise,
     variance,
     floor_trans,
     floor_rot,
     iterations,
-    information,
-    covariance,
-    system,
+    min_pairs,
+    good_quality,
 ):
-    """Align from `pose` (3,), overwritten; fills information, covariance (3, 3) and system.
+    """Align from target_T_source = (x, y, theta), and judge the outcome.
 
     `passes` (k, 4) holds gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each
-    pass.  Without a prior, `prior_covariance` only completes the covariance of blind axes.
-    Returns (size of the last step in m, iterations, weak axis in rad, weakness).
+    pass, `others` (m, 3) the starts about the guess that are tried when less than `good_quality`
+    of the beams fit; with a prior there are none.  Without a prior, `prior_covariance` only
+    completes the covariance of blind axes.
+
+    Returns the pose (x, y, theta), information and covariance (3, 3), size of the last step (m),
+    iterations, weak axis (rad), weakness, and of the sums: pairs, inliers, beams paired, fitting
+    and tried, cost, weight.
     """
+    pose = np.array([x, y, theta])
     known = np.empty((3, 3))
     invert3(prior_covariance, known)
-    pull = known.copy() if has_prior else np.zeros((3, 3))
-    centre = prior.copy()
     partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
+    system = np.zeros(SYSTEM)
+    transforms, scratch = np.empty((len(starts) - 1, 4)), np.empty((4, 6))
+    pull, spots = np.zeros((3, 3)), np.zeros((3, 3))
+    if has_prior:
+        size, count = settle_by_prior(
+            source_points,
+            source_lines,
+            source_flags,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose,
+            np.array([prior_x, prior_y, prior_theta]),
+            known,
+            passes,
+            noise,
+            iterations,
+            partners,
+            transforms,
+            scratch,
+            system,
+            pull,
+            spots,
+            np.empty(4),
+            np.empty(DOUBTED_PAIRS),
+        )
+    else:
+        size, count = settle_from_many(
+            source_points,
+            source_lines,
+            source_flags,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose,
+            passes,
+            others,
+            noise,
+            iterations,
+            min_pairs,
+            good_quality,
+            partners,
+            transforms,
+            scratch,
+            system,
+            np.empty_like(partners),
+            np.empty(SYSTEM),
+            pull,
+            spots,
+        )
     gradient = np.empty(6)
+    surplus = scatter(
+        source_points,
+        source_geometry,
+        points,
+        lines,
+        windows,
+        flags,
+        starts,
+        geometries,
+        noise,
+        poses,
+        pose,
+        partners,
+        passes[len(passes) - 1, 1],
+        gradient,
+    )
+    information, covariance = np.empty((3, 3)), np.empty((3, 3))
+    own_information(
+        system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
+    )
+    combine(information, known, covariance)
+    weakest, weakness = weakest_axis(information, prior_covariance)
+    return (
+        pose[0],
+        pose[1],
+        pose[2],
+        information,
+        covariance,
+        size,
+        count,
+        weakest,
+        weakness,
+        int(system[PAIRS]),
+        system[INLIERS],
+        system[PAIRED],
+        system[FITTING],
+        system[TRIED],
+        system[COST],
+        system[WEIGHT],
+    )
+
+
+@part
+def settle(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    centre,
+    pull,
+    passes,
+    begin,
+    end,
+    noise,
+    iterations,
+    partners,
+    transforms,
+    scratch,
+    system,
+):
+    """Run passes `begin`..`end` - 1 from `pose` (3,), overwritten, with the prior `centre`, `pull`.
+
+    Fills partners and system; returns (size of the last step in m, iterations).
+    """
     size, count = 0.0, 0
-    last = len(passes) - 1
-    axis, begin = np.zeros(4), 0
+    finest = passes[len(passes) - 1, 1]
+    for k in range(begin, end):
+        beams = int(passes[k, 3])
+        partners[:] = -1  # beams that this pass leaves out have none
+        stride = max(1, len(source_points) // beams) if beams > 0 else 1
+        size, used = gauss_newton(
+            source_points,
+            source_lines,
+            source_flags,
+            stride,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose,
+            centre,
+            pull,
+            # Far pairs are wrong by as much as their pass allows: they push no harder
+            # against the prior than that.
+            noise * passes[k, 1] / finest,
+            passes[k, 0],
+            passes[k, 1],
+            iterations,
+            passes[k, 2],
+            partners,
+            transforms,
+            scratch,
+            system,
+        )
+        count += used
+    return size, count
+
+
+@part
+def settle_by_prior(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    prior,
+    known,
+    passes,
+    noise,
+    iterations,
+    partners,
+    transforms,
+    scratch,
+    system,
+    pull,
+    spots,
+    axis,
+    strongest,
+):
+    """Settle `pose` (3,) with a prior of information `known` (3, 3) about `prior` (3,).
+
+    `pull`, `spots` (3, 3), `axis` (4,) and `strongest` (DOUBTED_PAIRS,) are scratch.
+    """
+    centre = spots[0]
+    copy(prior, centre)
+    for k in range(3):
+        copy(known[k], pull[k])
+    begin, last, total, size = 0, len(passes) - 1, 0, 0.0
     for attempt in range(3):
-        for k in range(begin, last + 1):
-            beams = int(passes[k, 3])
-            partners[:] = -1  # beams that this pass leaves out have none
-            stride = max(1, len(source_points) // beams) if beams > 0 else 1
-            size, used = gauss_newton(
-                source_points,
-                source_lines,
-                source_flags,
-                stride,
-                points,
-                lines,
-                flags,
-                starts,
-                geometries,
-                reach2,
-                poses,
-                pose,
-                centre,
-                pull,
-                # Far pairs are wrong by as much as their pass allows: they push no harder
-                # against the prior than that.
-                noise * passes[k, 1] / passes[last, 1],
-                passes[k, 0],
-                passes[k, 1],
-                iterations,
-                passes[k, 2],
-                partners,
-                system,
-            )
-            count += used
-        if not has_prior:  # nothing to lean on instead, and no time to lose
-            break
+        size, count = settle(
+            source_points,
+            source_lines,
+            source_flags,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            pose,
+            centre,
+            pull,
+            passes,
+            begin,
+            last + 1,
+            noise,
+            iterations,
+            partners,
+            transforms,
+            scratch,
+            system,
+        )
+        total += count
         share = discount_weak_axis(
             source_points,
             source_lines,
@@ -106,6 +317,7 @@ def align(
             partners,
             system,
             axis,
+            strongest,
         )
         # Where the scans only seem to know, the pose goes back to the prior, and is held there
         # if it slides off again.
@@ -114,33 +326,142 @@ def align(
         step_back(pose, prior, known, noise, axis)
         begin = last
         if attempt == 1:
-            centre[:] = pose
+            copy(pose, centre)
             hold = system[0] + system[3]
             for k in range(2):
                 for m in range(2):
                     pull[k, m] += hold / (noise * noise) * axis[k] * axis[m]
-    surplus = scatter(
+    return size, total
+
+
+@part
+def settle_from_many(
+    source_points,
+    source_lines,
+    source_flags,
+    points,
+    lines,
+    flags,
+    starts,
+    geometries,
+    reach2,
+    poses,
+    pose,
+    passes,
+    others,
+    noise,
+    iterations,
+    min_pairs,
+    good_quality,
+    partners,
+    transforms,
+    scratch,
+    system,
+    rival_partners,
+    rival_system,
+    free,
+    spots,
+):
+    """Settle `pose` (3,) with no prior, from other starts as well if the outcome is poor.
+
+    Nothing vouches for the guess then: it may have been caught on the way.
+    `free` (3, 3) is zero: no prior pulls; `spots` (3, 3), `rival_partners` and `rival_system`
+    are scratch.
+    """
+    guess, trial, best = spots[0], spots[1], spots[2]
+    copy(pose, guess)
+    size, count = settle(
         source_points,
-        source_geometry,
+        source_lines,
+        source_flags,
         points,
         lines,
-        windows,
         flags,
         starts,
         geometries,
-        noise,
+        reach2,
         poses,
         pose,
+        guess,
+        free,
+        passes,
+        0,
+        len(passes),
+        noise,
+        iterations,
         partners,
-        passes[len(passes) - 1, 1],
-        gradient,
+        transforms,
+        scratch,
+        system,
     )
-    own_information(
-        system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
-    )
-    combine(information, known, covariance)
-    weakest, weakness = weakest_axis(information, prior_covariance)
-    return size, count, weakest, weakness
+    rivals = len(others)
+    quality = share_that_fits(system, min_pairs)
+    if quality >= good_quality or rivals == 0:
+        return size, count
+    best_quality = quality
+    for k in range(rivals + 1):  # the other starts, and the best of them refined
+        refining = k == rivals
+        if not refining:
+            compose(guess, others, k, trial)
+        elif best_quality > quality:
+            copy(best, trial)
+        else:
+            break
+        used_size, used = settle(
+            source_points,
+            source_lines,
+            source_flags,
+            points,
+            lines,
+            flags,
+            starts,
+            geometries,
+            reach2,
+            poses,
+            trial,
+            guess,
+            free,
+            passes,
+            1 if refining else 0,
+            len(passes) if refining else COARSE,
+            noise,
+            iterations,
+            rival_partners,
+            transforms,
+            scratch,
+            rival_system,
+        )
+        found = share_that_fits(rival_system, min_pairs)
+        if not refining:
+            if found > best_quality:
+                copy(trial, best)
+                best_quality = found
+        elif found > quality:
+            copy(trial, pose)
+            copy(rival_system, system)
+            for ref in range(len(partners)):
+                copy(rival_partners[ref], partners[ref])
+            size, count = used_size, used
+    return size, count
 
 
-__all__ = ["SYSTEM", "align"]
+@part
+def share_that_fits(system, min_pairs):
+    """Share of the beams that fit a line of any reference; 0 with too few pairs."""
+    return system[FITTING] / system[TRIED] if system[PAIRS] >= min_pairs else 0.0
+
+
+@part
+def compose(pose, others, k, out):
+    """Fill `out` (3,) with `pose` (3,) followed by row k of `others` (m, 3)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    out[0] = pose[0] + c * others[k, 0] - s * others[k, 1]
+    out[1] = pose[1] + s * others[k, 0] + c * others[k, 1]
+    out[2] = pose[2] + others[k, 2]
+
+
+@part
+def copy(values, out):
+    """Copy a row: assigning it to a slice would compile a check with its message, for seconds."""
+    for k in range(len(values)):
+        out[k] = values[k]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import kernel, part
 from frontend.icp_kernels import FEIGNED, eigen2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def invert3(a, out):
     """Inverse of a (3, 3) matrix by its adjugate."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
@@ -26,7 +26,7 @@ def invert3(a, out):
     out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def multiply3(a, b, out):
     """Product of two (3, 3) matrices."""
     for i in range(3):
@@ -34,7 +34,7 @@ def multiply3(a, b, out):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def own_information(system, gradient, variance, floor_trans, floor_rot, information):
     """(3, 3) information of the match alone, with what noisy normals feign taken out.
 
@@ -87,7 +87,7 @@ def own_information(system, gradient, variance, floor_trans, floor_rot, informat
             information[i, j] = 0.5 * (product[i, j] + product[j, i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def combine(information, known, covariance):
     """(3, 3) covariance of match and prior together; `known` is the prior's information."""
     total = np.empty((3, 3))
@@ -97,7 +97,7 @@ def combine(information, known, covariance):
     invert3(total, covariance)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def weakest_axis(information, known):
     """Direction (rad) of the translation that the match knows worst, and by what ratio.
 

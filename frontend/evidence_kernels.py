@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import part
 from frontend.icp_kernels import FEIGNED, eigen2, nearest_beam
 from frontend.scan_kernels import LINE, VALID
 
@@ -13,7 +13,7 @@ SHIFT = 3.0  # robust scales to either side at which the proof is taken
 DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def discount_weak_axis(
     source_points,
     source_lines,
@@ -31,11 +31,13 @@ def discount_weak_axis(
     partners,
     system,
     axis,
+    strongest,
 ):
     """Add to the feigned information in `system` what the weak axis claims and cannot show.
 
     Returns the share of its claim that the axis keeps; fills `axis` (4,) with the axis as a step
     (x, y, theta) in the source frame, a metre long, and the information (unit noise) left there.
+    `strongest` (DOUBTED_PAIRS,) is scratch.
 
     Held to its pairs, a scan that is shifted along an axis it sees costs more, and it still does
     when each beam may choose its partner anew.  Along a wall whose normals are noisy, or which
@@ -54,7 +56,16 @@ def discount_weak_axis(
     t = -(system[2] * x + system[4] * y) / turn  # the heading that goes with a shift along it
     shift = SHIFT * scale
     held, alone, chance = held_rise(
-        source_points, lines, poses, pose, partners, scale, shift * x, shift * y, shift * t
+        source_points,
+        lines,
+        poses,
+        pose,
+        partners,
+        scale,
+        shift * x,
+        shift * y,
+        shift * t,
+        strongest,
     )
     free = 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -88,7 +99,7 @@ def discount_weak_axis(
     return left / low
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def free_cost(
     source_points,
     source_lines,
@@ -140,7 +151,7 @@ def free_cost(
     return cost + scale * scale * unpaired
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def step_back(pose, prior, information, noise, axis):
     """Move `pose` (3,) along `axis` to where the prior, weighed against what is left, puts it."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -159,8 +170,8 @@ def step_back(pose, prior, information, noise, axis):
     pose[2] += size * axis[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
+@part
+def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt, strongest):
     """Second difference of the robust cost over +-(dx, dy, dt) in the source frame, pairs held.
 
     Also returns the information along that direction that the strongest few pairs hold, and by
@@ -168,7 +179,8 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt):
     """
     inverse_scale2 = 1.0 / (scale * scale)
     rise, squares = 0.0, 0.0
-    strongest = np.zeros(DOUBTED_PAIRS)
+    for k in range(DOUBTED_PAIRS):
+        strongest[k] = 0.0
     for ref in range(len(poses)):
         c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
         cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])

@@ -7,8 +7,8 @@ of a parallel reduction, so that equal inputs give equal bits.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import inlined, part
 from frontend.scan_kernels import LINE, VALID
 
 # A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
@@ -26,7 +26,7 @@ FITTING = 18  # source beams that fit any reference
 SYSTEM = 19
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def bearing_of(y, x):
     """atan2 to 2e-4 rad, enough to find the beam where the search begins."""
     ax, ay = abs(x), abs(y)
@@ -46,7 +46,7 @@ def bearing_of(y, x):
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inlined
 def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     """Index (from `first`) of the point nearest to (px, py) and its squared distance.
 
@@ -114,7 +114,7 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     return best, best2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def accumulate(
     source_points,
     source_lines,
@@ -226,7 +226,7 @@ def accumulate(
     system[PAIRED], system[FITTING] = beams_paired, beams_fitting
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def eigen2(a, b, c):
     """Smaller and larger eigenvalue of [[a, b], [b, c]] and the direction (rad) of the smaller."""
     half = 0.5 * (a + c)
@@ -235,7 +235,7 @@ def eigen2(a, b, c):
     return half - root, half + root, 0.5 * np.arctan2(2.0 * b, a - c) + 0.5 * np.pi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def quiet_blind_axis(system):
     """Shrink the gradient along the axis that only noisy normals seem to see.
 
@@ -259,7 +259,7 @@ def quiet_blind_axis(system):
         system[7] -= along * y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def solve3(a, g, step):
     """Solve the 3x3 system (upper triangle a, 6) for -g by Cholesky; False if singular."""
     if not a[0] > 0.0:
@@ -284,7 +284,7 @@ def solve3(a, g, step):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def gauss_newton(
     source_points,
     source_lines,
@@ -306,6 +306,8 @@ def gauss_newton(
     iterations,
     tolerance,
     partners,
+    transforms,
+    scratch,
     system,
 ):
     """Iterate from `pose` (3,), which it overwrites; returns (size of the last step, count).
@@ -313,12 +315,11 @@ def gauss_newton(
     Minimises sum rho(residual) / noise^2 + the prior's squared distance; `information` (3, 3) is
     that of the step from `prior` (3,) in the prior's own frame, zero for no prior.  The size of
     the last step is in m (radians count fivefold) and inf if the system became singular.
+    `transforms` (references, 4) and `scratch` (4, 6) are for its own use.
     """
-    a = np.empty(6)
-    g = np.empty(3)
-    step = np.zeros(3)
-    before = np.zeros(3)
-    transforms = np.empty((len(starts) - 1, 4))
+    a, g, step, before = scratch[0], scratch[1], scratch[2], scratch[3]
+    for k in range(3):
+        step[k] = before[k] = 0.0
     inverse = stride / (noise * noise)
     damping = 1.0
     size = np.inf

@@ -15,16 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from frontend.align_kernels import align
 from frontend.alternatives import find_pose
-from frontend.icp_kernels import (
-    COST,
-    FITTING,
-    INLIERS,
-    PAIRED,
-    PAIRS,
-    SYSTEM,
-    TRIED,
-    WEIGHT,
-)
 from frontend.scan import PreparedScan
 
 Matrix = NDArray[np.float64]
@@ -121,10 +111,13 @@ class MatchResult:
 SETTLED = 10.0
 
 # Other starts about a guess that nothing vouches for: turned, or moved along or across.
-STARTS = [
-    *(Pose2(0.0, 0.0, turn) for turn in (0.21, -0.21, 0.42, -0.42)),
-    *(Pose2(x, y, 0.0) for x, y in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))),
-]
+OTHER_STARTS = np.array(
+    [
+        *((0.0, 0.0, turn) for turn in (0.21, -0.21, 0.42, -0.42)),
+        *((x, y, 0.0) for x, y in ((0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4))),
+    ]
+)
+NO_STARTS = np.empty((0, 3))
 
 _NO_INFORMATION = np.zeros((3, 3))
 # What stands in for a missing prior: a metre and a radian know nothing, but keep matrices regular.
@@ -153,20 +146,8 @@ def match(
     if config.method != "point_to_line":
         return _alternative(references, stack, source, guess, config, prior)
     passes = config.passes_without_prior if prior is None else config.passes_with_prior
-    result = _align(stack, source, guess, passes, config, prior)
-    if prior is not None or result.quality >= config.good_quality:
-        return result
-    # Nothing vouches for the guess and the outcome is poor: it may have been caught on the way.
-    rivals = [
-        _align(stack, source, start, passes[:2], config, None)
-        for start in (guess * shift for shift in STARTS)
-    ]
-    best = max(rivals, key=lambda rival: rival.quality)
-    if best.quality > result.quality:
-        again = _align(stack, source, best.target_T_source, passes[1:], config, None)
-        if again.quality > result.quality:
-            return again
-    return result
+    others = OTHER_STARTS if prior is None else NO_STARTS
+    return _align(stack, source, guess, passes, others, config, prior)
 
 
 def _alternative(
@@ -182,7 +163,7 @@ def _alternative(
     if not np.isfinite(last_step) or not np.isfinite(pose).all():
         return _refused(guess, prior, f"{config.method} found no pose")
     found = Pose2(*pose)
-    judged = _align(stack, source, found, config.passes_with_prior[-1:], config, prior)
+    judged = _align(stack, source, found, config.passes_with_prior[-1:], NO_STARTS, config, prior)
     if last_step > SETTLED * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
         return replace(
@@ -192,35 +173,33 @@ def _alternative(
 
 
 def _align(
-    stack: tuple[Any, ...], source: PreparedScan, guess: Pose2, passes: Matrix,
+    stack: tuple[Any, ...], source: PreparedScan, guess: Pose2, passes: Matrix, others: Matrix,
     config: MatchConfig, prior: Prior | None,
 ) -> MatchResult:  # fmt: skip
-    """One start: the passes, and what came of them."""
-    pose = _vector(guess)
+    """Align by point-to-line ICP from the guess, and from `others` about it if that goes badly."""
     known = _IGNORANCE if prior is None else prior.covariance
-    centre = pose.copy() if prior is None else _vector(prior.target_T_source)
-    information, covariance = np.empty((3, 3)), np.empty((3, 3))
-    system = np.zeros(SYSTEM)
-    variance = config.range_noise**2 * config.correlation
-    last_step, iterations, axis, weakness = align(
-        source.points, source.lines, source.flags, source.geometry,
-        stack[0], stack[1], stack[2], stack[3], stack[4], stack[5], stack[6], stack[7],
-        pose, centre, known, prior is not None, passes, config.range_noise, variance,
-        config.floor_trans, config.floor_rot, config.iterations, information, covariance, system,
+    centre = guess if prior is None else prior.target_T_source
+    (
+        x, y, theta, information, covariance, last_step, iterations, axis, weakness,
+        pairs, inliers, paired, fitting, tried, cost, weight,
+    ) = align(
+        source.points, source.lines, source.flags, source.geometry, *stack,
+        guess.x(), guess.y(), guess.theta(), centre.x(), centre.y(), centre.theta(), known,
+        prior is not None, passes, others, config.range_noise,
+        config.range_noise**2 * config.correlation, config.floor_trans, config.floor_rot,
+        config.iterations, config.min_pairs, config.good_quality,
     )  # fmt: skip
-    pairs = int(system[PAIRS])
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
-    explained = float(system[INLIERS] / pairs)
+    explained = inliers / pairs
     reason = ""
     if last_step > SETTLED * passes[-1, 2]:
         reason = f"no convergence in {iterations} iterations"
     elif explained < config.min_explained:
         reason = f"only {100 * explained:.0f} % of the beams fit"
     return MatchResult(
-        Pose2(pose[0], pose[1], pose[2]), information, covariance, pairs, explained,
-        float(system[PAIRED] / system[TRIED]), float(system[FITTING] / system[TRIED]),
-        float(np.sqrt(system[COST] / system[WEIGHT])), axis if weakness > 1.0 else None, weakness,
+        Pose2(x, y, theta), information, covariance, pairs, explained, paired / tried,
+        fitting / tried, math.sqrt(cost / weight), axis if weakness > 1.0 else None, weakness,
         iterations, not reason, reason,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from frontend.scan_kernels import LINE, VALID, fit_lines, place_points
+from frontend.scan_kernels import LINE, VALID, read_scan
 from logs.messages import LaserMount, LaserScan
 
 __all__ = ["LINE", "VALID", "PreparedScan", "ScanConfig", "prepare"]
@@ -94,29 +94,19 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
     if step < 0:  # a laser that turns clockwise: the same scan, read from its end
         angle_min, step = angle_min + step * (len(ranges) - 1), -step
         ranges = np.ascontiguousarray(ranges[::-1])
-    points = np.empty((len(ranges), 2))
-    lines = np.zeros((len(ranges), 5))
-    windows = np.zeros((len(ranges), 2), dtype=np.int32)
-    flags = np.zeros(len(ranges), dtype=np.uint8)
-    nearest = max(scan.range_min, 1e-3)
-    farthest = min(scan.range_max, config.max_range)
-    in_a_turn = 2 * np.pi / step - 1e-6
+        ranges.setflags(write=False)  # as all others are: one compiled kernel serves both
+    in_a_turn = 2 * math.pi / step - 1e-6
     whole = len(ranges) if len(ranges) > in_a_turn - 1.5 else math.floor(in_a_turn)
-    first = math.remainder(angle_min + mount.theta, 2 * np.pi)  # the search wraps but once
-    geometries = np.array([[first, step, mount.x, mount.y, whole]])
-    geometries.setflags(write=False)
-    geometry = geometries[0]
-    centre = np.zeros(2)
-    valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
-    noise, tolerance = config.range_noise, config.line_tolerance
-    fit_lines(
-        points, flags, geometry, noise, tolerance, config.gap_ratio, config.normal_sigma_max,
-        lines, windows,
+    first = math.remainder(angle_min + mount.theta, 2 * math.pi)  # the search wraps but once
+    nearest, farthest = max(scan.range_min, 1e-3), min(scan.range_max, config.max_range)
+    points, lines, windows, flags, geometries, centre, starts, valid = read_scan(
+        ranges, first, float(step), float(mount.x), float(mount.y), whole, nearest, float(farthest),
+        config.range_noise, config.line_tolerance, config.gap_ratio, config.normal_sigma_max,
     )  # fmt: skip
-    for array in (points, lines, windows, flags, centre):
+    for array in (points, lines, windows, flags, geometries, centre):
         array.setflags(write=False)
     reach2 = reach_table(step)
-    alone = np.array([0, len(points)]), geometries, reach2
+    alone = starts, geometries, reach2
     return PreparedScan(
-        scan.stamp_ns, points, lines, windows, flags, geometry, valid, centre, reach2[0], alone
+        scan.stamp_ns, points, lines, windows, flags, geometries[0], valid, centre, reach2[0], alone
     )  # fmt: skip

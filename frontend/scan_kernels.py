@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from frontend.compiled import kernel, part
 
 HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
 # Squared residuals of a line through k + 2 points, in units of the noise's variance, that noise
@@ -16,7 +17,41 @@ VALID = 1  # the beam hit something
 LINE = 2  # and a line could be fitted there
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
+def read_scan(
+    ranges,
+    angle_min,
+    step,
+    mount_x,
+    mount_y,
+    whole,
+    nearest,
+    farthest,
+    noise,
+    tolerance,
+    gap_ratio,
+    sigma_max,
+):
+    """All arrays of a prepared scan from its ranges (n,); lengths in m, angles in rad.
+
+    `whole` is how many beams a whole turn has.  Returns points (n, 2), lines (n, 5),
+    windows (n, 2), flags (n,), geometries (1, 5), centre (2,), starts (2,) and how many are valid.
+    """
+    n = len(ranges)
+    points, lines = np.empty((n, 2)), np.zeros((n, 5))
+    windows, flags = np.empty((n, 2), dtype=np.int32), np.zeros(n, dtype=np.uint8)
+    geometries, centre = np.empty((1, 5)), np.empty(2)
+    geometry = geometries[0]
+    geometry[0], geometry[1] = angle_min, step
+    geometry[2], geometry[3], geometry[4] = mount_x, mount_y, whole
+    starts = np.empty(2, dtype=np.int64)
+    starts[0], starts[1] = 0, n
+    valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)
+    fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines, windows)
+    return points, lines, windows, flags, geometries, centre, starts, valid
+
+
+@part
 def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
     """Fill points (n, 2), flags (n,) and centre (2,); return how many beams are valid."""
     angle_min, step, ox, oy = geometry[0], geometry[1], geometry[2], geometry[3]
@@ -44,7 +79,7 @@ def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
     return valid
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _fit(sums, i, j):
     """Centroid of points i..j and their scatter about it: mx, my, xx, yy, xy."""
     m = j - i + 1.0
@@ -57,7 +92,7 @@ def _fit(sums, i, j):
     return mx, my, xx, yy, xy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _normal(xx, yy, xy):
     """A vector across the line whose scatter matrix is [[xx, xy], [xy, yy]], of any length."""
     half = 0.5 * (xx - yy)
@@ -66,7 +101,7 @@ def _normal(xx, yy, xy):
     return (-xy, longer) if half >= 0.0 else (longer, -xy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines, windows):
     """Fit to every valid beam the longest straight window around it; fills lines and windows.
 
@@ -74,7 +109,7 @@ def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, l
     loops, not one: compiled together they take half as long again.
     """
     n = len(points)
-    sums = np.zeros((n + 1, 5))
+    sums = np.empty((n + 1, 5))
     first = np.empty(n, dtype=np.int64)  # of the unbroken surface that beam i lies on
     last = np.empty(n, dtype=np.int64)
     _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last)
@@ -83,12 +118,13 @@ def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, l
     _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last):
     """Fill the prefix sums (n + 1, 5), about the laser, and each beam's surface (n,), (n,)."""
     n = len(points)
     step, ox, oy = geometry[1], geometry[2], geometry[3]
     u, v = 0.0, 0.0
+    sums[0] = 0.0
     for i in range(n):
         x, y = 0.0, 0.0
         if flags[i] & VALID:
@@ -110,7 +146,7 @@ def _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last):
         last[i] = last[i + 1] if i + 1 < n and first[i + 1] == first[i] else i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _find_windows(sums, flags, first, last, limit, windows):
     """Fill the first and last beam of each beam's window; equal where there is none."""
     w = np.int64(2)  # a plain 2 would be a type of its own, and the search compile twice
@@ -126,7 +162,7 @@ def _find_windows(sums, flags, first, last, limit, windows):
         windows[i, 0], windows[i, 1] = a, b
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags):
     """Fill the lines (n, 5) of the windows, and flag the beams that have one."""
     ox, oy = geometry[2], geometry[3]
@@ -150,7 +186,7 @@ def _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags):
         flags[i] |= LINE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _straight(sums, a, b, variance):
     """Whether points a..b lie on a line to within their noise, of the given variance (m^2).
 
@@ -179,8 +215,8 @@ def _straight(sums, a, b, variance):
         nx, ny = root - half, -xy
     allowed = 9.0 * variance * third * (nx * nx + ny * ny)
     off = nx * mx + ny * my
-    for part in range(3):
-        i = a + part * third if part < 2 else b + 1 - third
+    for k in range(3):
+        i = a + k * third if k < 2 else b + 1 - third
         x, y = sums[i + third, 0] - sums[i, 0], sums[i + third, 1] - sums[i, 1]
         apart = nx * x + ny * y - third * off
         if apart * apart > allowed:
@@ -188,7 +224,7 @@ def _straight(sums, a, b, variance):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _longest_window(sums, i, first, last, start, limit):
     """Index into HALF_WIDTHS of the longest straight window about i, from `start`; -1 if none."""
     w = start
@@ -209,7 +245,7 @@ def _longest_window(sums, i, first, last, start, limit):
     return w
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def _one_sided(sums, i, first, last, limit):
     """The longer straight window that ends or begins at i, for points at a corner."""
     a, b = i, i

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import kernel, part
 from frontend.scan_kernels import LINE
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def add_outer(out, weight, x, y, t):
     """Add the weighted outer product of (x, y, t) to `out` (6): xx, xy, xt, yy, yt, tt."""
     wx, wy = weight * x, weight * y
@@ -20,7 +20,7 @@ def add_outer(out, weight, x, y, t):
     out[5] += weight * t * t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def scatter(
     source_points,
     source_geometry,
@@ -96,7 +96,7 @@ def scatter(
     return found / max(expected * noise * noise, 1e-300)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def sum_runs(runs, points, lines, flags, first, origin, out):
     """Add what each beam of a reference carries to `out` (6): `runs` (n + 1, 9) are differences."""
     g0 = g1 = g2 = x0 = x1 = x2 = y0 = y1 = y2 = 0.0
@@ -114,15 +114,15 @@ def sum_runs(runs, points, lines, flags, first, origin, out):
         add_outer(out, weight, g0 + x0 * x + y0 * y, g1 + x1 * x + y1 * y, g2 + x2 * x + y2 * y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@part
 def add_run(runs, begin, end, gx, gy, gt, constant, along_x, along_y):
     """Add a gradient times (constant, along_x, along_y) to the beams begin..end - 1."""
-    for part in range(3):
-        factor = constant if part == 0 else (along_x if part == 1 else along_y)
+    for k in range(3):
+        factor = constant if k == 0 else (along_x if k == 1 else along_y)
         x, y, t = gx * factor, gy * factor, gt * factor
-        runs[begin, 3 * part] += x
-        runs[begin, 3 * part + 1] += y
-        runs[begin, 3 * part + 2] += t
-        runs[end, 3 * part] -= x
-        runs[end, 3 * part + 1] -= y
-        runs[end, 3 * part + 2] -= t
+        runs[begin, 3 * k] += x
+        runs[begin, 3 * k + 1] += y
+        runs[begin, 3 * k + 2] += t
+        runs[end, 3 * k] -= x
+        runs[end, 3 * k + 1] -= y
+        runs[end, 3 * k + 2] -= t
