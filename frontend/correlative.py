@@ -14,7 +14,13 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from frontend.correlative_kernels import block_maximum, bound_blocks, branch_and_bound, stamp
+from frontend.correlative_kernels import (
+    block_maximum,
+    blocks_per_axis,
+    bound_blocks,
+    branch_and_bound,
+    stamp,
+)
 
 Matrix = NDArray[np.float64]
 
@@ -99,8 +105,14 @@ def search(
     y0 = (window.centre.y() - field.origin[1]) / res
     best = np.zeros(4)
     nothing = np.array([0.0, 0.0, -1.0])
-    xs, ys, bounds = bound_blocks(field.levels, points / res, angles, x0, y0, cells)
-    found = branch_and_bound(field.levels, xs, ys, bounds, angles, cells, min_score, nothing, best)
+    shape = len(angles), len(points)
+    xs, ys = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
+    bounds = np.empty(len(angles) * blocks_per_axis(len(field.levels), cells) ** 2)
+    bound_blocks(field.levels, points / res, angles, x0, y0, cells, xs, ys, bounds)
+    order, stack = np.argsort(-bounds, kind="stable"), np.empty((4 * len(field.levels) + 4, 4))
+    found = branch_and_bound(
+        field.levels, xs, ys, bounds, order, angles, cells, min_score, nothing, stack, best
+    )
     if not found:
         return None
     second = np.zeros(4)
@@ -108,7 +120,7 @@ def search(
     # Only a rival that comes near the best is of interest.
     threshold = 0.7 * best[0]
     rival = branch_and_bound(
-        field.levels, xs, ys, bounds, angles, cells, threshold, excluded, second
+        field.levels, xs, ys, bounds, order, angles, cells, threshold, excluded, stack, second
     )
     pose = Pose2(
         window.centre.x() + best[1] * res, window.centre.y() + best[2] * res, float(best[3])

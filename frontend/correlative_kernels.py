@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from frontend.compiled import kernel, part
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stamp(points, low, resolution, smoothing, grid):
     """Write each point's likelihood into the cells around it, keeping the maximum."""
     reach = int(np.ceil(3.0 * smoothing / resolution))
@@ -29,7 +30,7 @@ def stamp(points, low, resolution, smoothing, grid):
                     grid[y, x] = value
 
 
-@njit(cache=True, nogil=True)
+@part
 def block_maximum(finer, shift, coarser):
     """coarser[y, x] = maximum of finer over the block twice as wide that begins at (y, x)."""
     rows, columns = finer.shape
@@ -45,7 +46,7 @@ def block_maximum(finer, shift, coarser):
             coarser[y, x] = value
 
 
-@njit(cache=True, nogil=True)
+@part
 def _score(grid, block, xs, ys, dx, dy):
     """Mean of the grid at the points shifted by (dx, dy) cells; blocks reach beyond the edge."""
     rows, columns = grid.shape
@@ -60,19 +61,22 @@ def _score(grid, block, xs, ys, dx, dy):
     return total / len(xs)
 
 
-@njit(cache=True, nogil=True)
-def bound_blocks(levels, points, angles, x0, y0, cells):
-    """Cells of the points turned by each angle, and the bound of each coarsest block.
+@part
+def blocks_per_axis(levels, cells):
+    """How many of the coarsest blocks cover `cells` to either side of the centre."""
+    return (2 * cells) // (1 << (levels - 1)) + 1
 
-    Returns xs, ys (angles, points) and bounds (angles * blocks,).
+
+@part
+def bound_blocks(levels, points, angles, x0, y0, cells, xs, ys, bounds):
+    """Fill the cells of the points turned by each angle, and the bound of each coarsest block.
+
+    Shapes: xs, ys (angles, points), bounds (angles * blocks,).
     """
     top = len(levels) - 1
     block = 1 << top
-    per_axis = (2 * cells) // block + 1
+    per_axis = blocks_per_axis(len(levels), cells)
     n = len(points)
-    xs = np.empty((len(angles), n), dtype=np.int64)
-    ys = np.empty((len(angles), n), dtype=np.int64)
-    bounds = np.empty(len(angles) * per_axis * per_axis)
     for a in range(len(angles)):
         c, s = np.cos(angles[a]), np.sin(angles[a])
         for k in range(n):
@@ -84,23 +88,23 @@ def bound_blocks(levels, points, angles, x0, y0, cells):
                 bounds[node] = _score(
                     levels[top], block, xs[a], ys[a], ix * block - cells, iy * block - cells
                 )
-    return xs, ys, bounds
 
 
-@njit(cache=True, nogil=True)
-def branch_and_bound(levels, xs, ys, bounds, angles, cells, min_score, excluded, best):
+@part
+def branch_and_bound(
+    levels, xs, ys, bounds, order, angles, cells, min_score, excluded, stack, best
+):
     """Depth-first over blocks, the most promising first; fills best (score, dx, dy, angle).
 
-    `xs`, `ys` and `bounds` come from `bound_blocks`.  `excluded` is (dx, dy, radius) in cells:
-    poses nearer than radius do not count.
+    `xs`, `ys` and `bounds` come from `bound_blocks`, `order` sorts the bounds, largest first.
+    `excluded` is (dx, dy, radius) in cells: poses nearer than radius do not count.
+    `stack` (4 levels, 4) is scratch: bound, level, dx, dy.
     """
     top = len(levels) - 1
     block = 1 << top
-    per_axis = (2 * cells) // block + 1
-    order = np.argsort(-bounds, kind="mergesort")
+    per_axis = blocks_per_axis(len(levels), cells)
     best[0] = min_score
     found = False
-    stack = np.empty((4 * (top + 1) + 4, 4))  # bound, level, dx, dy
     radius2 = excluded[2] * excluded[2] if excluded[2] > 0.0 else -1.0
     for node in order:
         if bounds[node] <= best[0]:
@@ -132,7 +136,8 @@ def branch_and_bound(levels, xs, ys, bounds, angles, cells, min_score, excluded,
                     continue
                 at = size  # insertion keeps the best child on top of the stack
                 while at > begin and stack[at - 1, 0] > value:
-                    stack[at] = stack[at - 1]
+                    for k in range(4):
+                        stack[at, k] = stack[at - 1, k]
                     at -= 1
                 stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = value, level - 1, cx, cy
                 size += 1

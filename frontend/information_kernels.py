@@ -7,8 +7,8 @@ cast into it beam by beam.  What lies outside, behind or beyond is not seen and 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import kernel, part
 from frontend.covariance_kernels import own_information
 from frontend.icp_kernels import FEIGNED, SYSTEM, bearing_of
 from frontend.scan_kernels import LINE, VALID
@@ -17,7 +17,7 @@ from frontend.scatter_kernels import add_outer
 HIDDEN = -1  # what a beam meets that no match can use: nothing, or a surface from behind
 
 
-@njit(cache=True, nogil=True)
+@part
 def surfaces(points, flags, geometry, noise, gap_ratio, joined):
     """Set `joined` (n,) where a beam's point and the next one's lie on one surface."""
     n = len(points)
@@ -35,7 +35,7 @@ def surfaces(points, flags, geometry, noise, gap_ratio, joined):
         joined[i] = dx * dx + dy * dy <= widest * widest
 
 
-@njit(cache=True, nogil=True)
+@part
 def cast(points, joined, geometry, bearings, pose, depth, hit):
     """What each beam of `bearings` (k, 2), unit vectors, meets from `pose` (3,), base_T_later.
 
@@ -84,7 +84,7 @@ def cast(points, joined, geometry, bearings, pose, depth, hit):
         u, v, bearing, known = u1, v1, bearing1, True
 
 
-@njit(cache=True, nogil=True)
+@part
 def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gradient):
     """Sums of the match that the cast beams would make; returns how many of them would pair.
 
@@ -138,7 +138,7 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
     return paired
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def foresee(
     points, lines, flags, geometry, noise, gap_ratio, most_beams, poses, variance, informations,
     pairs,

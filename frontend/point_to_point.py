@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import part
 from frontend.icp_kernels import nearest_beam
 from frontend.scan_kernels import VALID
 
 
-@njit(cache=True, nogil=True)
+@part
 def point_to_point(
     source_points,
     source_flags,
