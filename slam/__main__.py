@@ -1,5 +1,5 @@
 """`python -m slam` is the `slam` command."""
 
-from slam.cli import main
+from slam.command import main
 
 main()

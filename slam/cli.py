@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -227,70 +225,3 @@ COMMANDS: dict[str, Callable[..., None]] = {
 for name, command in COMMANDS.items():
     app.command(name)(command)
 app.add_typer(drivers_app, name="drivers")
-
-
-class _Signalled(BaseException):
-    """A signal to stop, as an exception, so that files are closed on the way out."""
-
-
-_received: list[int] = []  # the signals that came, in order
-
-
-def _on_signal(number: int, frame: FrameType | None) -> None:
-    _received.append(number)
-    raise _Signalled
-
-
-def main() -> None:
-    """Entry point of the console script: known errors become one line and an exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # `nohup slam`
-            signal.signal(number, _on_signal)
-    try:
-        app()
-    except BaseException as error:
-        # A library that was being loaded may have made another error of the signal.
-        if _received:
-            word = "interrupted" if _received[0] == signal.SIGINT else "terminated"
-            say(f"slam: {word}; nothing half-written is left")
-            raise SystemExit(128 + _received[0]) from None
-        if not isinstance(error, Exception) or not (line := _line(error)):
-            raise
-        say(f"slam: {line}")
-        raise SystemExit(1) from error
-
-
-def _line(error: Exception) -> str:
-    """What to tell the person at the terminal; empty if the error is a fault of ours."""
-    if _known(error):
-        return str(error)
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror or error}: check the disk and the permissions"
-    if isinstance(error, MemoryError):
-        return f"not enough memory: {error or 'the log is too long or the map too fine'}"
-    return ""
-
-
-def _known(error: Exception) -> bool:
-    """Whether the message was written for the person at the terminal.
-
-    By name, because loading the modules of all these errors takes longer than most failures.
-    """
-    names = {f"{kind.__module__}.{kind.__name__}" for kind in type(error).__mro__}
-    return not names.isdisjoint(_KNOWN)
-
-
-_KNOWN = {
-    "backend.edges.GraphError",
-    "logs.errors.LogError",
-    "slam.config.ConfigError",
-    "slam.errors.ReportError",
-    "slam.errors.RunError",
-    "slam.errors.ViewError",
-    "slam.offline.SlamError",
-}
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Errors of the application that a person can act on; `slam.cli` turns them into one line."""
+"""Errors of the application that a person can act on; `slam.command` turns them into one line."""
 
 from __future__ import annotations
 

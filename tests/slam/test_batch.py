@@ -25,7 +25,7 @@ from slam.batches.run import make_task
 from slam.batches.sources import expand, find_truth, local_copy
 from slam.batches.table import is_time, make_row, parquet
 from slam.batches.task import log_hash, read_result, run_task
-from slam.cli import main
+from slam.command import main
 from slam.config import ConfigError, SlamConfig
 from slam.errors import ReportError
 from slam.replay import file_sha256

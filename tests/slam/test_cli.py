@@ -26,7 +26,7 @@ from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import LogWriter
 from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
-from slam.cli import main
+from slam.command import main
 
 ROOT = Path(__file__).parents[2]
 SLAM = [sys.executable, "-m", "slam"]
@@ -316,6 +316,23 @@ def test_a_signal_ends_a_replay_cleanly(long_log, tmp_path, number, code, word, 
     assert said == ""
     assert talk == f"slam: {word}; nothing half-written is left\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_that_comes_before_anything_is_loaded(tmp_path):
+    """A stand-in for the first library that the commands need takes its time to load."""
+    slow = "import sys, time\nprint('loading', file=sys.stderr, flush=True)\ntime.sleep(60)\n"
+    (tmp_path / "typer.py").write_text(slow, encoding="ascii")
+    path = os.pathsep.join([str(tmp_path), ENVIRONMENT["PYTHONPATH"]])
+    process = subprocess.Popen(
+        [*SLAM, "--help"],
+        env={**ENVIRONMENT, "PYTHONPATH": path},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr.readline() == "loading\n"
+    process.send_signal(signal.SIGINT)
+    _, talk = process.communicate(timeout=60)
+    assert (process.returncode, talk) == (130, "slam: interrupted; nothing half-written is left\n")
 
 
 def _wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
