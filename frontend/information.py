@@ -25,9 +25,6 @@ AXES = ("x", "y", "theta")
 PER_OCTAVE = 2  # distances at which a match is foreseen; between them its variance is smooth
 FINER = 4  # distances tried between two of those
 MOST_BEAMS = 180  # cast into the scan
-# What is foreseen is not right to more than a twentieth (tests hold it against real matches):
-# nearer than that, two variances are equal, and the longer step saves matches.
-AS_GOOD = 1.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +36,7 @@ class Outlook:
     range_noise: float  # m, one sigma
     correlation: float  # factor on the variance that range noise alone explains, at least 1
     gap_ratio: float  # of beam spacings, that parts two surfaces
+    slack: float  # by which share of the least a foreseen error may be larger
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +92,7 @@ def best_distance(
     what it knows.  Such a chain grows by P d / D^2 a metre.  Of the part of P that comes from the
     scans, S, the share that range noise does not explain comes from the shape of what is seen.  It
     is the same for as long as that is in view, about r metres, and adds `share` S r / D^2: the
-    error that every match has of its own.
+    error that every match has of its own.  About the least: the sigma may be larger by the slack.
 
     Args:
         scan: the keyframe.
@@ -160,7 +158,7 @@ def _farthest(
     logs = np.log(steps[within])
     candidates = np.linspace(logs[0], logs[-1], FINER * (len(logs) - 1) + 1)
     cost = np.interp(candidates, logs, np.log(grown))
-    return float(np.exp(candidates[cost <= cost.min() + math.log(AS_GOOD)][-1]))
+    return float(np.exp(candidates[cost <= cost.min() + 2.0 * math.log1p(outlook.slack)][-1]))
 
 
 def _mean_reference(chosen: Array, steps: Array, variances: Array, references: int) -> Array:

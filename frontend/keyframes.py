@@ -50,6 +50,11 @@ class KeyframeConfig(BaseModel):
     profile_bin: float = Field(0.25, gt=0, description="m, grid of the wall profile")
     shortest: float = Field(0.1, gt=0, description="m, the shortest foreseen interval")
     longest: float = Field(3.0, gt=0, description="m, the longest foreseen interval")
+    # A foreseen sigma is right to 0.05 to 0.16 in the median over the simulated worlds.
+    slack: float = Field(
+        0.05, ge=0, description="share by which a foreseen error may exceed the least, for longer "
+        "intervals; twice as much where loops are closed",
+    )  # fmt: skip
     least_overlap: float = Field(
         0.7, gt=0, lt=1, description="share of the view that method overlap keeps"
     )
@@ -57,7 +62,7 @@ class KeyframeConfig(BaseModel):
         0.3, gt=0, description="rad, a larger turn makes a keyframe; method information foresees it"
     )
     narrowest: float = Field(0.1, gt=0, description="rad, the narrowest foreseen turn")
-    widest: float = Field(0.6, gt=0, description="rad, the widest foreseen turn")
+    widest: float = Field(1.0, gt=0, description="rad, the widest foreseen turn")
     max_time: float = Field(
         10.0, gt=0, description="s, the longest wait while the robot moves at all"
     )

@@ -208,9 +208,11 @@ class Slam:
             seconds = metres / speed if metres else math.inf
             return config.odometry.covariance(metres, radians, seconds)
 
+        # A chain that closures pin at both ends errs at most half as much as one that hangs free.
+        slack = config.keyframes.slack * (2.0 if config.loops.enabled else 1.0)
         return Outlook(
             odometry, config.tracking.references, config.matcher.range_noise,
-            config.matcher.correlation, config.scan.gap_ratio,
+            config.matcher.correlation, config.scan.gap_ratio, slack,
         )  # fmt: skip
 
     def _foreseen_from(self) -> PreparedScan:

@@ -1,5 +1,8 @@
 """What a match will know: foreseen from one scan, held against matches that were made."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from gtsam import Pose2
@@ -15,6 +18,7 @@ from frontend.information import (
     distance_of_overlap,
     informations,
 )
+from frontend.keyframes import KeyframeConfig
 from frontend.matching import MatchConfig, Prior, Reference, match
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount, LaserScan
@@ -27,6 +31,7 @@ PLAIN = World(np.array([[-40.0, 1.5, 40.0, 1.5], [-40.0, -1.5, 40.0, -1.5]]))
 ONE_WALL = World(PLAIN.segments[:1])
 GLASS = World(PLAIN.segments[:1], panes=PLAIN.segments[1:])
 SPEED = 0.6  # m/s
+SLACK = KeyframeConfig().slack
 
 
 def odometry(metres, radians=0.0):
@@ -42,6 +47,7 @@ def outlook(scale=1.0):
         scale * MATCH.range_noise,
         MATCH.correlation,
         SCAN.gap_ratio,
+        SLACK,
     )
 
 
@@ -112,7 +118,7 @@ def test_a_turned_world_changes_nothing(name, turn):
     """The laser is mounted askew by `turn` and the robot drives where the laser looks."""
     round_odometry = Outlook(
         lambda metres, radians: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
-        MATCH.correlation, SCAN.gap_ratio,
+        MATCH.correlation, SCAN.gap_ratio, SLACK,
     )  # fmt: skip
     world, scans = places(name, 4)
     for k, (pose, scan) in enumerate(scans):
@@ -165,6 +171,18 @@ def test_the_number_of_beams_hardly_matters(name):
         scans = [seen(place.world, Pose2(*pose), laser_of(beams)) for pose in poses]
         found[beams] = np.exp(np.mean([np.log(distance(scan)) for scan in scans]))
     assert max(found.values()) / min(found.values()) < 1.35
+
+
+@pytest.mark.parametrize("name", ["office", "clutter", "plain-corridor"])
+def test_the_more_slack_the_longer_the_intervals(name):
+    _, scans = places(name, 8)
+    found = [
+        np.array([distance(s, ahead=replace(outlook(), slack=slack)) for _, s in scans])
+        for slack in (0.0, 0.05, 0.1, 0.5)
+    ]
+    for shorter, longer in pairwise(found):
+        assert (longer >= shorter).all()
+        assert longer.mean() > shorter.mean()
 
 
 def test_a_corridor_names_the_axis_that_it_does_not_tell():
