@@ -9,23 +9,25 @@ from drivers.simulators.world import World
 from frontend.matching import MatchConfig
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount
-from slam.keyframe import Keyframe
+from slam.keyframe import Keyframe, preparer
 from slam.localise import LocaliseConfig, ScanLocaliser
 
 MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+SCAN = ScanConfig()
 ROOM = World.from_polygon([(-4.0, -3.0), (5.0, -3.0), (5.0, 1.0), (2.0, 2.5), (-4.0, 3.5)])
 
 
 def seen(world, pose, index):
     raw = take_scan(world, pose, LASERS["hokuyo-181"], np.random.default_rng(index))
-    return raw, prepare(raw, MOUNT, ScanConfig())
+    return raw, prepare(raw, MOUNT, SCAN)
 
 
 def localiser(world, true_poses, believed=None):
     """Among keyframes taken at `true_poses`, which stand in the graph where they are believed."""
-    keyframes = [
-        Keyframe(k, k, *seen(world, pose, k), pose, 0.0) for k, pose in enumerate(true_poses)
-    ]
+    keyframes = []
+    for k, pose in enumerate(true_poses):
+        raw, prepared = seen(world, pose, k)
+        keyframes.append(Keyframe(k, k, raw, MOUNT, preparer(SCAN), prepared.centre, pose, 0.0))
     poses = np.array([(p.x(), p.y(), p.theta()) for p in believed or true_poses])
     return ScanLocaliser(keyframes, poses, LocaliseConfig(), MatchConfig())
 
@@ -63,7 +65,7 @@ def test_odometry_that_comes_a_scan_late_in_a_turn_leaves_no_mark(turn):
         guess = Pose2(0.05 * k, 0.0, (k - 1) * turn) if late else true
         stamped = prepare(
             type(raw)(200_000_000 * k, raw.angle_min, raw.angle_step, raw.ranges), MOUNT,
-            ScanConfig(),
+            SCAN,
         )  # fmt: skip
         error = Pose2.Logmap(true.between(among.locate(stamped, guess)))
         assert np.hypot(error[0], error[1]) < 0.02, k
