@@ -33,7 +33,7 @@ Answer = tuple[LoopQuestion, Closure]
 
 
 class LoopSearcher:
-    """Answers one set of questions at a time; maps of old places are kept for the next."""
+    """Answers one set of questions at a time; its maps of old places are kept for the next one."""
 
     def __init__(self, config: LoopSearchConfig, matcher: MatchConfig, beside: Beside) -> None:
         self._config, self._matcher, self._beside = config, matcher, beside
@@ -65,16 +65,18 @@ class LoopSearcher:
         self._fields.clear()
 
     def _search(self, ask: Callable[[], Sequence[LoopQuestion]]) -> list[Answer]:
-        return [(asked, self._answer(asked)) for asked in ask()]
+        kept, self._fields = self._fields, {}  # megabytes each: an hour's would not fit
+        return [(asked, self._answer(asked, kept)) for asked in ask()]
 
-    def _answer(self, question: LoopQuestion) -> Closure:
-        anchor = question.anchor
-        if anchor not in self._fields:
-            self._fields[anchor] = target_field(question.old, self._config.correlative)
+    def _answer(self, question: LoopQuestion, kept: dict[int, LikelihoodField]) -> Closure:
+        field = kept.get(question.anchor)
+        if field is None:
+            field = target_field(question.old, self._config.correlative)
+        self._fields[question.anchor] = field
         references = [Reference(pose, scan) for pose, scan in question.old]
         return close_loop(
-            self._fields[anchor], references, question.query, question.predicted,
-            question.covariance, self._config, self._matcher,
+            field, references, question.query, question.predicted, question.covariance,
+            self._config, self._matcher,
         )  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from backend.pose_graph import Edge, PoseGraph
 from frontend.information import Outlook
 from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
-from frontend.matching import Prior, Reference
 from frontend.scan import PreparedScan
 from frontend.unbend import unbend
 from logs.messages import (
@@ -31,15 +30,15 @@ from logs.messages import (
 )
 from slam.config import SlamConfig
 from slam.keyframe import Keyframe, preparer
+from slam.linking import Linker
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
-from slam.odometry_faults import LieDetector, Step
 from slam.past import Past, locate
 from slam.records import decision_record, estimate_record, factor_record
 from slam.scan_track import ScanTrack
-from slam.sightings import Paired, ScanPairing, Sighting, sight
+from slam.sightings import Paired, ScanPairing, Sighting, Stretch, sight
 from slam.stopwatch import NoWatch
-from slam.tracking import Tracked, starts_in_doubt, track
+from slam.tracking import Tracked
 
 MOST_BETWEEN = 64  # scans kept between two keyframes
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
@@ -74,16 +73,14 @@ class Slam:
         self.loops = LoopCloser(config.loops, config.matcher, beside)
         self._prepare = preparer(config.scan)
         self._closing_due: int | None = None  # scan at which the loop search's result enters
-        self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
+        self._linker = Linker(config)
         self._pairing = ScanPairing(config.scan.unbend)
-        self._unbroken = 0  # keyframes from here on are tied together by matches
         self._interval = Interval(0.0, None)
         self._latest: Sighting | None = None
         self._kept: Sighting | None = None  # the last keyframe's
         self._between: list[Sighting] = []  # scans since then
         # Keyframes to be, the next one last: scan, reason, and the scans before it.
         self._ahead: list[tuple[Sighting, str, Sequence[Sighting]]] = []
-        self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
         self._past: Past | None = None
         self._sought_m: float | None = None  # way at which the place in the past was last sought
 
@@ -179,12 +176,13 @@ class Slam:
             else:
                 self._go_on(sighting, prepared, self._past)
             return
-        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
-        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
-        scans = sighting.index - self._kept.index
+        stretch = Stretch(self._kept, sighting)
+        moved, seconds = stretch.moved, stretch.seconds
         if self._interval.open:
             self._choose_interval(moved, seconds)
-        reason = reason_to_keep(moved, scans, seconds, self._interval, self.config.keyframes)
+        reason = reason_to_keep(
+            moved, stretch.scans, seconds, self._interval, self.config.keyframes
+        )
         if reason:
             self._ahead.append((sighting, reason, self._between))
             return
@@ -229,7 +227,7 @@ class Slam:
         if edge is None:
             return
         self.graph.add_keyframe(self.graph.pose(edge.i) * edge.i_T_j, [edge])
-        self._unbroken = edge.j
+        self._linker.begin_at(edge.j)
         self.record_edge(sighting.scan.stamp_ns, edge, True, "found in the map made before")
         self._decide(sighting.scan, sighting.index, "resumed", Pose2(), None)
         # As far on as makes the whole old map old enough for loops.
@@ -253,36 +251,37 @@ class Slam:
             self.noted["keyframe postponed: scan too empty"] += 1
             return
         self._close_loops()
+        assert self.graph is not None
+        assert self._kept is not None
+        stretch = Stretch(self._kept, sighting)
         with self._watch("matching"):
-            tracked = self._track(sighting, prepared, between)
+            tracked = self._linker.track(self.keyframes, self.graph, stretch, prepared, between)
         self.matches += 1
         if between and not (tracked.odometry_trusted and tracked.match_trusted):
             middle = len(between) // 2
             self._ahead.append((sighting, reason, between[middle + 1 :]))
             self._ahead.append((between[middle], "halved", between[:middle]))
             return
-        self._extend(sighting, prepared, tracked, reason)
+        self._extend(stretch, prepared, tracked, reason)
 
     def _extend(
-        self, sighting: Sighting, prepared: PreparedScan, tracked: Tracked, reason: str
+        self, stretch: Stretch, prepared: PreparedScan, tracked: Tracked, reason: str
     ) -> None:
         """Put a tracked keyframe into the graph and look for loops."""
         assert self.graph is not None
-        assert self._kept is not None
-        new = len(self.keyframes)
-        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
-        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
-        if not tracked.match_trusted:
-            self._unbroken = new
+        new, sighting = len(self.keyframes), stretch.last
         if not tracked.odometry_trusted:
             self.doubted.add(new)
-        step = tracked.result.target_T_source if tracked.match_trusted else moved
-        edges = self._edges(sighting, tracked, moved, new)
+        link = self._linker.link(stretch, tracked, new)
+        if link.lie:
+            self.odometry_faults[link.lie] += 1
         with self._watch("optimising"):
-            self.graph.add_keyframe(self.graph.pose(new - 1) * step, edges)
-        self._decide(sighting.scan, sighting.index, reason, moved, tracked)
-        self._last_step = (step, seconds)
-        self._keep(sighting, prepared, float(np.hypot(step.x(), step.y())))
+            used = [edge for edge, used in link.edges if used]
+            self.graph.add_keyframe(self.graph.pose(new - 1) * link.step, used)
+        for edge, is_used in link.edges:
+            self.record_edge(sighting.scan.stamp_ns, edge, is_used, link.note)
+        self._decide(sighting.scan, sighting.index, reason, stretch.moved, tracked)
+        self._keep(sighting, prepared, float(np.hypot(link.step.x(), link.step.y())))
         self._estimate(sighting.scan.stamp_ns, tracked.lost)
         with self._watch("closing"):
             if self.loops.begin(self.keyframes, self.graph):
@@ -304,73 +303,6 @@ class Slam:
         self.graph.add_edges_batch([c.edge for c in closures if c.gain < least])
         for closure in closures:
             self.record_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
-
-    def _track(
-        self, sighting: Sighting, prepared: PreparedScan, between: Sequence[Sighting]
-    ) -> Tracked:
-        assert self.graph is not None
-        assert self._kept is not None
-        count = self.config.tracking.references
-        base = self.graph.pose(self.keyframes[-1].index)
-        references = [
-            Reference(base.between(self.graph.pose(k.index)), k.prepared)
-            for k in self.keyframes[max(self._unbroken, len(self.keyframes) - count) :]
-        ]
-        moved = self._kept.odom_T_base.between(sighting.odom_T_base)
-        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
-        limits = self.config.odometry
-        plausible = all(
-            step.speed <= limits.max_speed and step.turn_rate <= limits.max_turn_rate
-            for step in (*between, sighting)
-        )
-        return track(
-            references, prepared, Prior(moved, self._odometry_covariance(sighting)),
-            starts_in_doubt(moved, seconds, self._last_step), plausible, self.config.tracking,
-            self.config.matcher,
-        )  # fmt: skip
-
-    def _odometry_covariance(self, sighting: Sighting) -> NDArray[np.float64]:
-        assert self._kept is not None
-        return self.config.odometry.covariance(
-            sighting.path_m - self._kept.path_m,
-            sighting.path_rad - self._kept.path_rad,
-            (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9,
-        )
-
-    def _edges(self, sighting: Sighting, tracked: Tracked, moved: Pose2, new: int) -> list[Edge]:
-        """Odometry and match factors of a keyframe; what is refused is recorded, not added."""
-        information = np.asarray(np.linalg.inv(self._odometry_covariance(sighting)), np.float64)
-        note = tracked.note
-        blind = tracked.result.weak_axis is not None  # the match alone would tie nothing there
-        if not (tracked.match_trusted and tracked.odometry_trusted):
-            # Nothing vouches for the odometry, or something speaks against it: it says little.
-            information = information / self.config.lost_inflation**2
-            note = f"lost: {note}" if tracked.lost else note
-        if lie := self._lie(sighting, tracked, moved):
-            self.odometry_faults[lie] += 1
-            note = f"{lie}; {note}" if note else lie
-        odometry = Edge("odometry", new - 1, new, moved, information)
-        result = tracked.result
-        matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
-        edges = []
-        for edge, used in (
-            (odometry, tracked.odometry_trusted or tracked.lost or blind),
-            (matched, tracked.match_trusted),
-        ):
-            if used:
-                edges.append(edge)
-            self.record_edge(sighting.scan.stamp_ns, edge, used, note)
-        return edges
-
-    def _lie(self, sighting: Sighting, tracked: Tracked, moved: Pose2) -> str | None:
-        """What the odometry is caught at by this keyframe, if anything."""
-        assert self._kept is not None
-        if not tracked.match_trusted:
-            self._lies.forget()
-            return None
-        seconds = (sighting.scan.stamp_ns - self._kept.scan.stamp_ns) * 1e-9
-        step = Step.of(moved, tracked.result, seconds)
-        return self._lies.watch(step, not tracked.odometry_trusted)
 
     def _keep(self, sighting: Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)

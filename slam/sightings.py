@@ -78,6 +78,39 @@ class Sighting:
     turn_rate: float  # rad/s
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Stretch:
+    """What the wheels told from one sighting to a later one."""
+
+    first: Sighting
+    last: Sighting
+
+    @property
+    def moved(self) -> Pose2:
+        """first_T_last."""
+        return self.first.odom_T_base.between(self.last.odom_T_base)
+
+    @property
+    def seconds(self) -> float:
+        """Between the two scans."""
+        return (self.last.scan.stamp_ns - self.first.scan.stamp_ns) * 1e-9
+
+    @property
+    def scans(self) -> int:
+        """Scans of the log from one to the other."""
+        return self.last.index - self.first.index
+
+    @property
+    def path_m(self) -> float:
+        """Length of the way, m."""
+        return self.last.path_m - self.first.path_m
+
+    @property
+    def path_rad(self) -> float:
+        """Turns on the way, rad without sign."""
+        return self.last.path_rad - self.first.path_rad
+
+
 def sight(scan: LaserScan, odom_T_base: Pose2, index: int, last: Sighting | None) -> Sighting:
     """The sighting after `last`, which is None for the first of a log."""
     if last is None:

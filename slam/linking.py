@@ -1,0 +1,107 @@
+"""Links from a new keyframe to those before it: the match's word and the wheels', weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+
+from backend.pose_graph import Edge, PoseGraph
+from frontend.matching import Prior, Reference
+from frontend.scan import PreparedScan
+from slam.config import SlamConfig
+from slam.keyframe import Keyframe
+from slam.odometry_faults import LieDetector, OdometryLie, Step
+from slam.sightings import Sighting, Stretch
+from slam.tracking import Tracked, starts_in_doubt, track
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Link:
+    """What ties a keyframe to the one before."""
+
+    step: Pose2  # last_T_new by the match, or by the wheels where it is not trusted
+    edges: list[tuple[Edge, bool]]  # of odometry and match, and whether each is used
+    note: str  # what was refused, and why
+    lie: OdometryLie | None  # that this keyframe makes evident
+
+
+class Linker:
+    """Tracks keyframes one after the other and remembers what went wrong on the way."""
+
+    def __init__(self, config: SlamConfig) -> None:
+        self._config = config
+        self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
+        self._unbroken = 0  # keyframes from here on are tied together by matches
+        self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
+
+    def begin_at(self, keyframe: int) -> None:
+        """Match against this keyframe and later ones alone."""
+        self._unbroken = keyframe
+
+    def track(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, stretch: Stretch,
+        prepared: PreparedScan, between: Sequence[Sighting],
+    ) -> Tracked:  # fmt: skip
+        """Match a scan that may become a keyframe against the last ones.
+
+        Args:
+            keyframes: all so far.
+            graph: that holds their poses.
+            stretch: from the last keyframe to this scan.
+            prepared: the scan.
+            between: scans taken since the last keyframe.
+        """
+        base = graph.pose(keyframes[-1].index)
+        first = max(self._unbroken, len(keyframes) - self._config.tracking.references)
+        references = [
+            Reference(base.between(graph.pose(k.index)), k.prepared) for k in keyframes[first:]
+        ]
+        limits = self._config.odometry
+        plausible = all(
+            step.speed <= limits.max_speed and step.turn_rate <= limits.max_turn_rate
+            for step in (*between, stretch.last)
+        )
+        return track(
+            references, prepared, Prior(stretch.moved, self._odometry_covariance(stretch)),
+            starts_in_doubt(stretch.moved, stretch.seconds, self._last_step), plausible,
+            self._config.tracking, self._config.matcher,
+        )  # fmt: skip
+
+    def link(self, stretch: Stretch, tracked: Tracked, new: int) -> Link:
+        """Factors of odometry and match to keyframe `new`; what is refused is told, not used."""
+        information = np.asarray(np.linalg.inv(self._odometry_covariance(stretch)), np.float64)
+        note = tracked.note
+        blind = tracked.result.weak_axis is not None  # the match alone would tie nothing there
+        if not (tracked.match_trusted and tracked.odometry_trusted):
+            # Nothing vouches for the odometry, or something speaks against it: it says little.
+            information = information / self._config.lost_inflation**2
+            note = f"lost: {note}" if tracked.lost else note
+        if lie := self._lie(stretch, tracked):
+            note = f"{lie}; {note}" if note else lie
+        odometry = Edge("odometry", new - 1, new, stretch.moved, information)
+        result = tracked.result
+        matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
+        if not tracked.match_trusted:
+            self._unbroken = new
+        step = result.target_T_source if tracked.match_trusted else stretch.moved
+        self._last_step = (step, stretch.seconds)
+        edges = [
+            (odometry, tracked.odometry_trusted or tracked.lost or blind),
+            (matched, tracked.match_trusted),
+        ]
+        return Link(step, edges, note, lie)
+
+    def _odometry_covariance(self, stretch: Stretch) -> NDArray[np.float64]:
+        return self._config.odometry.covariance(stretch.path_m, stretch.path_rad, stretch.seconds)
+
+    def _lie(self, stretch: Stretch, tracked: Tracked) -> OdometryLie | None:
+        """What the odometry is caught at by this keyframe, if anything."""
+        if not tracked.match_trusted:
+            self._lies.forget()
+            return None
+        step = Step.of(stretch.moved, tracked.result, stretch.seconds)
+        return self._lies.watch(step, not tracked.odometry_trusted)
