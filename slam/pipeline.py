@@ -72,6 +72,7 @@ class Slam:
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
         self._prepare = preparer(config.scan)
+        self._choice = config.keyframes if config.loops.enabled else config.keyframes.open
         self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._linker = Linker(config)
         self._pairing = ScanPairing(config.scan.unbend)
@@ -180,9 +181,7 @@ class Slam:
         moved, seconds = stretch.moved, stretch.seconds
         if self._interval.open:
             self._choose_interval(moved, seconds)
-        reason = reason_to_keep(
-            moved, stretch.scans, seconds, self._interval, self.config.keyframes
-        )
+        reason = reason_to_keep(moved, stretch.scans, seconds, self._interval, self._choice)
         if reason:
             self._ahead.append((sighting, reason, self._between))
             return
@@ -192,7 +191,7 @@ class Slam:
 
     def _choose_interval(self, moved: Pose2, seconds: float) -> None:
         """Foresee the next match as soon as it shows where the robot goes, and how fast."""
-        config, distance = self.config.keyframes, float(np.hypot(moved.x(), moved.y()))
+        config, distance = self._choice, float(np.hypot(moved.x(), moved.y()))
         if distance >= config.shortest:
             outlook = self._outlook(distance / seconds)
             ahead = interval_ahead(self._foreseen_from(), moved, outlook, config)
@@ -206,11 +205,9 @@ class Slam:
             seconds = metres / speed if metres else math.inf
             return config.odometry.covariance(metres, radians, seconds)
 
-        # A chain that closures pin at both ends errs at most half as much as one that hangs free.
-        slack = config.keyframes.slack * (2.0 if config.loops.enabled else 1.0)
         return Outlook(
             odometry, config.tracking.references, config.matcher.range_noise,
-            config.matcher.correlation, config.scan.gap_ratio, slack,
+            config.matcher.correlation, config.scan.gap_ratio, self._choice.slack,
         )  # fmt: skip
 
     def _foreseen_from(self) -> PreparedScan:
@@ -318,9 +315,7 @@ class Slam:
                 travelled,
             )
         )
-        self._interval = interval_after(
-            self._foreseen_from(), self.config.keyframes, self._outlook(0.0)
-        )
+        self._interval = interval_after(self._foreseen_from(), self._choice, self._outlook(0.0))
         self._kept = sighting
         self._between = []
 

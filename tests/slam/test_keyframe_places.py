@@ -96,7 +96,7 @@ def run_in(sense):
 def turns(config):
     """Narrowest and widest turn, rad."""
     if config.method == "information":
-        return config.narrowest, config.widest
+        return config.narrowest, config.widest_open  # loops stay open here
     return config.max_turn, config.max_turn
 
 
