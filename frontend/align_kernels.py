@@ -188,8 +188,6 @@ def settle(
     centre,
     pull,
     passes,
-    begin,
-    end,
     noise,
     iterations,
     partners,
@@ -197,13 +195,13 @@ def settle(
     scratch,
     system,
 ):
-    """Run passes `begin`..`end` - 1 from `pose` (3,), overwritten, with the prior `centre`, `pull`.
+    """Run all passes from `pose` (3,), overwritten, with the prior `centre`, `pull`.
 
     Fills partners and system; returns (size of the last step in m, iterations).
     """
     size, count = 0.0, 0
     finest = passes[len(passes) - 1, 1]
-    for k in range(begin, end):
+    for k in range(len(passes)):
         beams = int(passes[k, 3])
         partners[:] = -1  # beams that this pass leaves out have none
         stride = max(1, len(source_points) // beams) if beams > 0 else 1
@@ -289,9 +287,7 @@ def settle_by_prior(
             pose,
             centre,
             pull,
-            passes,
-            begin,
-            last + 1,
+            passes[begin:],
             noise,
             iterations,
             partners,
@@ -385,8 +381,6 @@ def settle_from_many(
         guess,
         free,
         passes,
-        0,
-        len(passes),
         noise,
         iterations,
         partners,
@@ -421,9 +415,7 @@ def settle_from_many(
             trial,
             guess,
             free,
-            passes,
-            1 if refining else 0,
-            len(passes) if refining else COARSE,
+            passes[1:] if refining else passes[:COARSE],
             noise,
             iterations,
             rival_partners,
@@ -440,7 +432,8 @@ def settle_from_many(
             copy(trial, pose)
             copy(rival_system, system)
             for ref in range(len(partners)):
-                copy(rival_partners[ref], partners[ref])
+                for i in range(partners.shape[1]):
+                    partners[ref, i] = rival_partners[ref, i]
             size, count = used_size, used
     return size, count
 

@@ -13,6 +13,7 @@ from frontend.scan_kernels import LINE, VALID
 
 # A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
 SAME_PAIRS = 0.02
+UNASKED = 2  # beams to either side at which the walk looks before it asks whether to end
 
 # Layout of the sums that one pass fills: H (upper triangle, 6), g (3), and then
 COST = 9  # robust squared residuals
@@ -26,14 +27,12 @@ FITTING = 18  # source beams that fit any reference
 SYSTEM = 19
 
 
-@part
+@inlined
 def bearing_of(y, x):
     """atan2 to 2e-4 rad, enough to find the beam where the search begins."""
     ax, ay = abs(x), abs(y)
     big, small = max(ax, ay), min(ax, ay)
-    if big == 0.0:
-        return 0.0
-    t = small / big
+    t = small / max(big, 1e-300)
     t2 = t * t
     # Odd minimax polynomial of atan on [0, 1].
     angle = t * (
@@ -47,28 +46,30 @@ def bearing_of(y, x):
 
 
 @inlined
-def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
+def beam_towards(vx, vy, angle_min, step, whole):
+    """Index of the beam that looks at (vx, vy) m from the laser, of `whole` in a turn."""
+    turn = bearing_of(vy, vx) - angle_min
+    turn = turn + 2.0 * np.pi if turn < 0.0 else turn
+    turn = turn - 2.0 * np.pi if turn >= 2.0 * np.pi else turn
+    beam = np.int32(turn / step + 0.5)
+    return beam - whole if beam >= whole else beam
+
+
+@inlined
+def nearest_from(px, py, centre, points, first, n, geometries, reach2, ref, gate2):
     """Index (from `first`) of the point nearest to (px, py) and its squared distance.
 
-    Walks outwards in bearing from the beam that looks at (px, py); a point seen k beams away is
-    at least r sin((k - 1/2) step) far, less what `bearing_of` errs, which ends the walk.
+    Walks outwards in bearing from the beam `centre` that looks at (px, py); a point seen k beams
+    away is at least r sin((k - 1/2) step) far, less what `bearing_of` errs, which ends the walk.
     The walk goes round the whole circle, also where it has no beams, for what lies outside the
     field of view may be nearest to either end of it.
     `reach2` (1 or references, m) holds sin^2 of those angles up to 90 degrees.  (-1, gate2) if
     none is near; beams without a point hold nan and are never near.  Rows are indexed here, not
     sliced by the caller: a slice an evaluation costs more than the whole search.
     """
-    angle_min, step, whole = geometries[ref, 0], geometries[ref, 1], int(geometries[ref, 4])
+    whole = int(geometries[ref, 4])
     vx, vy = px - geometries[ref, 2], py - geometries[ref, 3]
     r2 = vx * vx + vy * vy
-    turn = bearing_of(vy, vx) - angle_min
-    if turn < 0.0:
-        turn += 2.0 * np.pi
-    if turn >= 2.0 * np.pi:
-        turn -= 2.0 * np.pi
-    centre = int(turn / step + 0.5)
-    if centre >= whole:
-        centre -= whole
     best, best2, k = -1, gate2, 1
     row, last = min(ref, len(reach2) - 1), reach2.shape[1] - 1
     farthest = min(whole // 2, n)
@@ -80,11 +81,11 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
         d2 = dx * dx + dy * dy
         if d2 < best2:
             best, best2 = centre, d2
-        # Nearly all walks end where there are beams on both sides.  No branches on distances: the
-        # processor could not foresee them.
+        # Nearly all walks end where there are beams on both sides, and after a step or two: those
+        # are taken unasked.  No branches on distances: the processor could not foresee them.
         inner = min(min(centre, n - 1 - centre), min(last, farthest))
         at = first + centre
-        while k <= inner and r2 * reach2[row, k] <= best2:
+        while k <= inner and (k <= UNASKED or r2 * reach2[row, k] <= best2):
             dx, dy = points[at + k, 0] - px, points[at + k, 1] - py
             d2 = dx * dx + dy * dy
             dx, dy = points[at - k, 0] - px, points[at - k, 1] - py
@@ -112,6 +113,36 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
                 best, best2 = down, d2
         k += 1
     return best, best2
+
+
+@part
+def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
+    """As `nearest_from`, from the beam that looks at (px, py)."""
+    vx, vy = px - geometries[ref, 2], py - geometries[ref, 3]
+    angle_min, step, whole = geometries[ref, 0], geometries[ref, 1], int(geometries[ref, 4])
+    centre = beam_towards(vx, vy, angle_min, step, whole)
+    return nearest_from(px, py, centre, points, first, n, geometries, reach2, ref, gate2)
+
+
+@part
+def aim(source_points, source_flags, stride, geometries, transforms, partners):
+    """Fill `partners` with the beam that looks at each point; -1 for beams without a point.
+
+    A loop of its own: what the walk takes depends on the data, and would hold this up.
+    """
+    for ref in range(len(transforms)):
+        c, s, tx, ty = (
+            transforms[ref, 0],
+            transforms[ref, 1],
+            transforms[ref, 2] - geometries[ref, 2],
+            transforms[ref, 3] - geometries[ref, 3],
+        )
+        angle_min, step, whole = geometries[ref, 0], geometries[ref, 1], int(geometries[ref, 4])
+        for i in range(0, len(source_points), stride):
+            qx, qy = source_points[i, 0], source_points[i, 1]
+            vx, vy = c * qx - s * qy + tx, s * qx + c * qy + ty
+            beam = beam_towards(vx, vy, angle_min, step, whole)
+            partners[ref, i] = beam if source_flags[i] & VALID else -1
 
 
 @part
@@ -159,6 +190,8 @@ def accumulate(
             np.sin(theta - poses[ref, 2]),
         )
         transforms[ref, 2], transforms[ref, 3] = cr * dx + sr * dy, cr * dy - sr * dx
+    if search:
+        aim(source_points, source_flags, stride, geometries, transforms, partners)
     for i in range(0, len(source_points), stride):
         if not source_flags[i] & VALID:
             continue
@@ -171,7 +204,10 @@ def accumulate(
             px, py = c * qx - s * qy + transforms[ref, 2], s * qx + c * qy + transforms[ref, 3]
             if search:
                 first, n = starts[ref], starts[ref + 1] - starts[ref]
-                j, _ = nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2)
+                centre = partners[ref, i]
+                j, _ = nearest_from(
+                    px, py, centre, points, first, n, geometries, reach2, ref, gate2
+                )
                 if j >= 0:
                     j = j + first if flags[first + j] & LINE else -1
                 partners[ref, i] = j
