@@ -67,14 +67,18 @@ def align(
     iterations, weak axis (rad), weakness, and of the sums: pairs, inliers, beams paired, fitting
     and tried, cost, weight.
     """
-    pose = np.array([x, y, theta])
-    known = np.empty((3, 3))
+    # Few arrays of few kinds: each kind is compiled, and each array is paid for in every match.
+    references = len(starts) - 1
+    both = np.empty((2, references, len(source_points)), dtype=np.int32)
+    rows, squares = np.zeros((7, SYSTEM)), np.zeros((3, 3, 3))
+    partners, system, pose, gradient = both[0], rows[0], rows[1, :3], rows[2, :6]
+    pose[0], pose[1], pose[2] = x, y, theta
+    known = squares[0]
     invert3(prior_covariance, known)
-    partners = np.empty((len(starts) - 1, len(source_points)), dtype=np.int32)
-    system = np.zeros(SYSTEM)
-    transforms, scratch = np.empty((len(starts) - 1, 4)), np.empty((4, 6))
-    pull, spots = np.zeros((3, 3)), np.zeros((3, 3))
+    transforms, scratch = np.empty((references, 4)), np.empty((4, 6))
     if has_prior:
+        prior = rows[3, :3]
+        prior[0], prior[1], prior[2] = prior_x, prior_y, prior_theta
         size, count = settle_by_prior(
             source_points,
             source_lines,
@@ -87,7 +91,7 @@ def align(
             reach2,
             poses,
             pose,
-            np.array([prior_x, prior_y, prior_theta]),
+            prior,
             known,
             passes,
             noise,
@@ -96,10 +100,10 @@ def align(
             transforms,
             scratch,
             system,
-            pull,
-            spots,
-            np.empty(4),
-            np.empty(DOUBTED_PAIRS),
+            squares[1],
+            squares[2],
+            rows[4, :4],
+            rows[5, :DOUBTED_PAIRS],
         )
     else:
         size, count = settle_from_many(
@@ -124,12 +128,11 @@ def align(
             transforms,
             scratch,
             system,
-            np.empty_like(partners),
-            np.empty(SYSTEM),
-            pull,
-            spots,
+            both[1],
+            rows[6],
+            squares[1],
+            squares[2],
         )
-    gradient = np.empty(6)
     surplus = scatter(
         source_points,
         source_geometry,

@@ -13,6 +13,7 @@ from frontend.scan_kernels import LINE, VALID
 
 # A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
 SAME_PAIRS = 0.02
+FARTHEST_BEAM = 1e9  # an integer of 32 bits holds no more; no laser has as many
 UNASKED = 2  # beams to either side at which the walk looks before it asks whether to end
 
 # Layout of the sums that one pass fills: H (upper triangle, 6), g (3), and then
@@ -32,7 +33,7 @@ def bearing_of(y, x):
     """atan2 to 2e-4 rad, enough to find the beam where the search begins."""
     ax, ay = abs(x), abs(y)
     big, small = max(ax, ay), min(ax, ay)
-    t = small / max(big, 1e-300)
+    t = small / max(big, 5e-324)  # 0 at the origin
     t2 = t * t
     # Odd minimax polynomial of atan on [0, 1].
     angle = t * (
@@ -51,8 +52,10 @@ def beam_towards(vx, vy, angle_min, step, whole):
     turn = bearing_of(vy, vx) - angle_min
     turn = turn + 2.0 * np.pi if turn < 0.0 else turn
     turn = turn - 2.0 * np.pi if turn >= 2.0 * np.pi else turn
-    beam = np.int32(turn / step + 0.5)
-    return beam - whole if beam >= whole else beam
+    beam = turn / step + 0.5
+    beam = beam - whole if beam >= whole else beam
+    beam = beam if beam >= 0.0 else 0.0  # nan, which no integer can stand for
+    return np.int32(beam if beam < FARTHEST_BEAM else FARTHEST_BEAM)
 
 
 @inlined

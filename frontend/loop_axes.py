@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
@@ -49,7 +47,7 @@ def without_blind_axis(
     error = Pose2.Logmap(result.target_T_source.between(predicted))
     pose = result.target_T_source * Pose2.Expmap(float(error[:2] @ along) * shift)
     angle = float(np.arctan2(along[1], along[0]))
-    return replace(result, target_T_source=pose, information=information, weak_axis=angle)
+    return result._replace(target_T_source=pose, information=information, weak_axis=angle)
 
 
 def weak_axis(information: Matrix) -> tuple[Matrix, float, float]:

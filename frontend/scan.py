@@ -9,8 +9,8 @@ along the wall) while corners and clutter keep short, one-sided windows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,7 @@ class ScanConfig(BaseModel):
     )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class PreparedScan:
+class PreparedScan(NamedTuple):
     """A scan ready for matching, in the base frame, ordered by bearing from the laser.
 
     `lines` holds (nx, ny, d, s2, m) a beam: the unit normal that points to the laser, the offset

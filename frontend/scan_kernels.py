@@ -123,6 +123,8 @@ def _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last):
     """Fill the prefix sums (n + 1, 5), about the laser, and each beam's surface (n,), (n,)."""
     n = len(points)
     step, ox, oy = geometry[1], geometry[2], geometry[3]
+    spread2 = (gap_ratio * step) ** 2  # of the widest gap to the range
+    least2 = (5.0 * noise) ** 2
     u, v = 0.0, 0.0
     sums[0] = 0.0
     for i in range(n):
@@ -138,8 +140,7 @@ def _add_up(points, flags, geometry, noise, gap_ratio, sums, first, last):
         if i > 0 and (flags[i] & VALID) and (flags[i - 1] & VALID):
             dx, dy = x - u, y - v
             r2 = min(x * x + y * y, u * u + v * v)
-            widest = max(gap_ratio * step * np.sqrt(r2), 5.0 * noise)
-            if dx * dx + dy * dy <= widest * widest:
+            if dx * dx + dy * dy <= max(spread2 * r2, least2):
                 first[i] = first[i - 1]
         u, v = x, y
     for i in range(n - 1, -1, -1):

@@ -100,18 +100,24 @@ def scatter(
 def sum_runs(runs, points, lines, flags, first, origin, out):
     """Add what each beam of a reference carries to `out` (6): `runs` (n + 1, 9) are differences."""
     g0 = g1 = g2 = x0 = x1 = x2 = y0 = y1 = y2 = 0.0
+    # Sums in plain variables, as in `accumulate`.
+    xx, xy, xt, yy, yt, tt = out[0], out[1], out[2], out[3], out[4], out[5]
     for k in range(len(runs) - 1):
         g0, g1, g2 = g0 + runs[k, 0], g1 + runs[k, 1], g2 + runs[k, 2]
         x0, x1, x2 = x0 + runs[k, 3], x1 + runs[k, 4], x2 + runs[k, 5]
         y0, y1, y2 = y0 + runs[k, 6], y1 + runs[k, 7], y2 + runs[k, 8]
-        t = first + k
-        if not flags[t] & LINE:
+        i = first + k
+        if not flags[i] & LINE:
             continue
-        x, y = points[t, 0], points[t, 1]
-        ux, uy = x - origin[0], y - origin[1]
-        across = lines[t, 0] * ux + lines[t, 1] * uy
+        px, py = points[i, 0], points[i, 1]
+        ux, uy = px - origin[0], py - origin[1]
+        across = lines[i, 0] * ux + lines[i, 1] * uy
         weight = across * across / (ux * ux + uy * uy)
-        add_outer(out, weight, g0 + x0 * x + y0 * y, g1 + x1 * x + y1 * y, g2 + x2 * x + y2 * y)
+        x, y, t = g0 + x0 * px + y0 * py, g1 + x1 * px + y1 * py, g2 + x2 * px + y2 * py
+        wx, wy = weight * x, weight * y
+        xx, xy, xt = xx + wx * x, xy + wx * y, xt + wx * t
+        yy, yt, tt = yy + wy * y, yt + wy * t, tt + weight * t * t
+    out[0], out[1], out[2], out[3], out[4], out[5] = xx, xy, xt, yy, yt, tt
 
 
 @part

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from gtsam import Pose2
-from scipy.stats import chi2
 
 from frontend.matching import MatchConfig, MatchResult, Reference, match
 from frontend.scan import PreparedScan, ScanConfig, prepare
 from logs.findings import Finding, Severity
 from logs.messages import LaserMount, LaserScan, Message
+from slam.chi_square import chi_square_limit
 from slam.motion_fit import MotionFit, fit_motion
 from slam.motion_pairs import BLOCK, Pair, PairCollector
 from slam.odometry import OdometryConfig
@@ -192,7 +192,7 @@ def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
         honest = OdometryConfig().covariance(distance_m, turn_rad, sum(p.seconds for p in pairs))
         error = Pose2.Logmap(wheels.between(scans))
         distance = float(error @ np.linalg.solve(honest + len(group) * _MATCH_VARIANCE, error))
-        excess = distance / float(chi2.isf(FALSE_ALARM, 3))
+        excess = distance / chi_square_limit(FALSE_ALARM, 3)
         if excess > 1.0:
             found.append(_Dispute(pairs, wheels, scans, excess))
     return found

@@ -11,13 +11,13 @@ import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
 
 from backend.pose_graph import Edge, PoseGraph
 from frontend.loop_search import Closure, LoopSearchConfig
 from frontend.matching import MatchConfig
 from frontend.scan import PreparedScan
 from logs.messages import LoopVerdict
+from slam.chi_square import chi_square_limit
 from slam.keyframe import Keyframe, placed, view_centres
 from slam.loops_beside import Beside, LoopQuestion, LoopSearcher
 
@@ -82,7 +82,7 @@ class LoopCloser:
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
         self._anchors_m: list[float] = []
-        self._limit = float(chi2.isf(config.gate, 3))
+        self._limit = chi_square_limit(config.gate, 3)
 
     def moved(self) -> None:
         """The graph changed its shape: forget maps of old places, which have moved within."""

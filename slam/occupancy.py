@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from frontend.compiled import kernel, part
 from logs.messages import LaserScan, OccupancyMap
 from slam.trajectory import Poses
 
@@ -201,7 +201,7 @@ def _to_percent(cells: NDArray[np.uint16]) -> NDArray[np.int8]:
     return table[cells]
 
 
-@njit(cache=True, nogil=True)
+@part
 def _reach(reading, nearest, farthest, rules):
     """Return how far a beam clears (negative: it says nothing) and whether it hit something."""
     if math.isnan(reading) or reading <= 0.0 or reading < nearest:
@@ -213,7 +213,7 @@ def _reach(reading, nearest, farthest, rules):
     return reading, True
 
 
-@njit(cache=True, nogil=True)
+@part
 def _find_ends(beams, rules, scan, ends, hits):
     """Write where each beam of a scan ends (m, map frame; nan: says nothing) and if it hit."""
     x, y, theta = beams.poses[scan]
@@ -227,7 +227,7 @@ def _find_ends(beams, rules, scan, ends, hits):
         ends[k, 1] = y + reach * math.sin(angle)
 
 
-@njit(cache=True, nogil=True)
+@part
 def _most_beams(beams):
     most = 0
     for scan in range(len(beams.first) - 1):
@@ -235,7 +235,7 @@ def _most_beams(beams):
     return most
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grow_bounds(beams, rules, bounds):
     """Widen bounds (x, y low; x, y high) to hold every pose and the end of every beam."""
     most = _most_beams(beams)
@@ -253,7 +253,7 @@ def _grow_bounds(beams, rules, bounds):
                 bounds[2], bounds[3] = max(bounds[2], ends[k, 0]), max(bounds[3], ends[k, 1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw(beams, rules, cells, left, bottom):
     """Add scans to the grid, each in two sweeps: hits first, so that they win, then the ways."""
     rows, columns = cells.shape
@@ -282,12 +282,12 @@ def _draw(beams, rules, cells, left, bottom):
             )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):
     """Draw one scan of `beams` beams; positions are in cells from the grid's corner."""
     rows, columns = cells.shape
     flat = cells.reshape(-1)
-    count = 0
+    count = np.int64(0)  # a plain 0 would be a type of its own, and what follows compile twice
     for k in range(beams):
         if hits[k]:
             column, row = math.floor(ends[k, 0]), math.floor(ends[k, 1])
@@ -301,7 +301,7 @@ def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):
         flat[touched[k]] &= _MARK - 1
 
 
-@njit(cache=True, nogil=True)
+@part
 def _change(flat, index, step, clamp, touched, count):
     """Add a step to a cell unless this scan already did; returns the count of touched cells."""
     value = np.int64(flat[index])
@@ -314,7 +314,7 @@ def _change(flat, index, step, clamp, touched, count):
     return count + 1
 
 
-@njit(cache=True, nogil=True)
+@part
 def _clear(flat, rows, columns, x, y, end, rules, touched, count):
     """Lower the cells from (x, y) to `end` (in cells), one per step along the longer axis."""
     dx, dy = end[0] - x, end[1] - y

@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from frontend.matching import MatchResult
+from slam.chi_square import chi_square_limit
 from slam.odometry import OdometryConfig
 
 OdometryLie = Literal["stall", "sign-flip", "slip", "jump", "distance"]
 
-DOUBTFUL = float(chi2.isf(0.1, 3))  # an honest step in ten disagrees by more
+DOUBTFUL = chi_square_limit(0.1, 3)  # an honest step in ten disagrees by more
 LEVER = 0.5  # m per rad: weighs turns against ways when the size of a motion is judged
 
 
@@ -52,7 +52,7 @@ class LieDetector:
 
     def __init__(self, config: OdometryConfig, false_alarm: float) -> None:
         self._config = config
-        self._limit = float(chi2.isf(false_alarm, 3))
+        self._limit = chi_square_limit(false_alarm, 3)
         self._run: Step | None = None  # doubtful steps so far, joined
         self._kind: OdometryLie | None = None
         self._named = False

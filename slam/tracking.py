@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.stats import chi2
 
 from frontend.correlative import CorrelativeConfig, Window, search, thin
 from frontend.loop_search import submap_points, target_field
 from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
 from frontend.scan import PreparedScan
+from slam.chi_square import chi_square_limit
 
 # The lies that look true: motion of the wrong sign, motion where there is none, and none where
 # there is; each with a start that would be right.
@@ -134,7 +134,7 @@ def track(
 @lru_cache
 def _limit(false_alarm: float) -> float:
     """Chi-square that honest odometry and an honest match exceed so often."""
-    return float(chi2.isf(false_alarm, 3))
+    return chi_square_limit(false_alarm, 3)
 
 
 def starts_in_doubt(

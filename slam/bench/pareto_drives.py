@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from gtsam import Pose2
@@ -100,7 +100,7 @@ def permuted(scan: PreparedScan, rng: np.random.Generator) -> PreparedScan:
     lines = scan.lines.copy()
     lines[lined] = scan.lines[rng.permutation(lined)]
     lines.setflags(write=False)
-    return replace(scan, lines=lines)
+    return scan._replace(lines=lines)
 
 
 def messages_of(world: str, seed: int) -> list[SensorMessage]:

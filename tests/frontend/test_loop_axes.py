@@ -84,8 +84,6 @@ def test_which_points_lie_between():
 
 def test_no_information_at_all_is_no_error():
     result, _, predicted = closed(Pose2(), Pose2(1.0, 0.2, 0.1), ENDLESS)
-    nothing = type(result)(
-        **{f: getattr(result, f) for f in result.__slots__} | {"information": np.zeros((3, 3))}
-    )
+    nothing = result._replace(information=np.zeros((3, 3)))
     scan = see(Pose2(), world=ENDLESS)
     assert np.isfinite(without_blind_axis(nothing, scan, scan, predicted).information).all()
