@@ -7,6 +7,7 @@ import numpy as np
 from frontend.compiled import kernel, part
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
 from frontend.evidence_kernels import DOUBTED_PAIRS, discount_weak_axis, step_back
+from frontend.heading_kernels import doubt_heading
 from frontend.icp_kernels import (
     COST,
     FITTING,
@@ -330,6 +331,7 @@ def settle_by_prior(
             for k in range(2):
                 for m in range(2):
                     pull[k, m] += hold / (noise * noise) * axis[k] * axis[m]
+    doubt_heading(source_points, lines, poses, pose, partners, passes[last, 1], system, strongest)
     return size, total
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frontend.compiled import kernel, part
-from frontend.icp_kernels import FEIGNED, eigen2
+from frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
 
 
 @part
@@ -60,7 +60,7 @@ def own_information(system, gradient, variance, floor_trans, floor_rot, informat
     h[0, 0] = low * c * c + high * s * s + bxx
     h[0, 1] = (low - high) * c * s + bxy
     h[1, 1] = low * s * s + high * c * c + byy
-    h[0, 2], h[1, 2], h[2, 2] = system[2], system[4], system[5]
+    h[0, 2], h[1, 2], h[2, 2] = system[2], system[4], system[5] - system[FEIGNED_TURN]
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
     m = np.empty((3, 3))
     m[0, 0], m[0, 1], m[0, 2] = gradient[0], gradient[1], gradient[2]

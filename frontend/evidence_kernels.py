@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import part
+from frontend.compiled import inlined, part
 from frontend.icp_kernels import FEIGNED, eigen2, nearest_beam
 from frontend.scan_kernels import LINE, VALID
 
 WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
 SHIFT = 3.0  # robust scales to either side at which the proof is taken
 DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
+BORNE_OUT = 0.5  # times what all others say: as far they are believed, a third of the whole
 
 
 @part
@@ -42,8 +43,9 @@ def discount_weak_axis(
     Held to its pairs, a scan that is shifted along an axis it sees costs more, and it still does
     when each beam may choose its partner anew.  Along a wall whose normals are noisy, or which
     bows, the first holds and the second does not: the next piece of wall serves as well.  So
-    the axis keeps the share of its information that the cost with free partners bears out, after
-    the strongest few pairs are left out: what they say alone may be a single wrong pair.
+    the axis keeps the share of its information that the cost with free partners bears out; and
+    no more than a third of that may rest on the strongest few pairs, for what they say alone may
+    be a single wrong pair.
     """
     turn = max(system[5], 1e-300)
     xx = system[0] - system[2] * system[2] / turn - system[FEIGNED]
@@ -90,7 +92,8 @@ def discount_weak_axis(
         )
         free += cost if side != 0 else -2.0 * cost
     share = min(max((free - chance) / max(held, 1e-300), 0.0), 1.0)
-    left = share * max(low - alone, 0.0)
+    rest = max(low - alone, 0.0)
+    left = share * (rest + min(alone, BORNE_OUT * rest))
     surplus = low - left
     system[FEIGNED] += surplus * x * x
     system[FEIGNED + 1] += surplus * x * y
@@ -201,11 +204,16 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt, st
             rise += before / (1.0 + before * inverse_scale2)
             rise += after / (1.0 + after * inverse_scale2) - 2.0 * r2 * root
             squares += r2 * r2 * root * root
-            told = root * root * slope * slope
-            for k in range(DOUBTED_PAIRS):  # insert into the descending list
-                if told > strongest[k]:
-                    told, strongest[k] = strongest[k], told
+            keep_strongest(root * root * slope * slope, strongest)
     alone = 0.0
     for k in range(DOUBTED_PAIRS):
         alone += strongest[k]
     return rise, alone / (dx * dx + dy * dy), np.sqrt(squares)
+
+
+@inlined
+def keep_strongest(told, strongest):
+    """Insert what a pair tells into the descending list (DOUBTED_PAIRS,) if it belongs there."""
+    for k in range(DOUBTED_PAIRS):
+        if told > strongest[k]:
+            told, strongest[k] = strongest[k], told

@@ -25,7 +25,8 @@ TRIED = 15  # source beams
 INLIERS = 16  # pairs with a residual below the scale
 PAIRED = 17  # source beams with a partner in any reference
 FITTING = 18  # source beams that fit any reference
-SYSTEM = 19
+FEIGNED_TURN = 19  # information of the heading that rests on too few pairs
+SYSTEM = 20
 
 
 @inlined
@@ -262,7 +263,7 @@ def accumulate(
     system[COST], system[WEIGHT], system[PAIRS] = cost, weight, pairs
     system[FEIGNED], system[FEIGNED + 1], system[FEIGNED + 2] = fxx, fxy, fyy
     system[TRIED], system[INLIERS] = tried, inliers
-    system[PAIRED], system[FITTING] = beams_paired, beams_fitting
+    system[PAIRED], system[FITTING], system[FEIGNED_TURN] = beams_paired, beams_fitting, 0.0
 
 
 @part

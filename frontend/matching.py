@@ -45,7 +45,13 @@ class MatchConfig(BaseModel):
         0.35, ge=0, le=1, description="share of paired beams that must fit"
     )
     correlation: float = Field(
-        1.15, gt=0, description="factor on the covariance that range noise alone explains"
+        1.05, gt=0, description="factor on the covariance that range noise alone explains"
+    )
+    lasting: float = Field(
+        1.15,
+        ge=1,
+        description="the same factor as far as `keyframes.method = information` foresees chains "
+        "of matches: some errors stay while the same things are in view",
     )
     floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
     floor_rot: float = Field(0.00025, ge=0, description="rad, the same for the heading")

@@ -207,7 +207,7 @@ class Slam:
 
         return Outlook(
             odometry, config.tracking.references, config.matcher.range_noise,
-            config.matcher.correlation, config.scan.gap_ratio, self._choice.slack,
+            config.matcher.lasting, config.scan.gap_ratio, self._choice.slack,
         )  # fmt: skip
 
     def _foreseen_from(self) -> PreparedScan:

@@ -121,7 +121,7 @@ def information(drive: Drive, with_odometry: bool) -> Length:
         return wheels.covariance(metres, radians, metres / speed)
 
     outlook = Outlook(
-        odometry, 1, matcher.range_noise, matcher.correlation, ScanConfig().gap_ratio,
+        odometry, 1, matcher.range_noise, matcher.lasting, ScanConfig().gap_ratio,
         config.slack_open,
     )  # fmt: skip
     ahead = Pose2(1.0, 0.0, 0.0)

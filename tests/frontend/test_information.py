@@ -45,7 +45,7 @@ def outlook(scale=1.0):
         lambda metres, radians: unit @ odometry(metres / scale, radians) @ unit,
         6,
         scale * MATCH.range_noise,
-        MATCH.correlation,
+        MATCH.lasting,
         SCAN.gap_ratio,
         SLACK,
     )
@@ -118,7 +118,7 @@ def test_a_turned_world_changes_nothing(name, turn):
     """The laser is mounted askew by `turn` and the robot drives where the laser looks."""
     round_odometry = Outlook(
         lambda metres, radians: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
-        MATCH.correlation, SCAN.gap_ratio, SLACK,
+        MATCH.lasting, SCAN.gap_ratio, SLACK,
     )  # fmt: skip
     world, scans = places(name, 4)
     for k, (pose, scan) in enumerate(scans):
