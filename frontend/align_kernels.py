@@ -6,7 +6,12 @@ import numpy as np
 
 from frontend.compiled import kernel, part
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
-from frontend.evidence_kernels import DOUBTED_PAIRS, discount_weak_axis, step_back
+from frontend.evidence_kernels import (
+    DOUBTED_PAIRS,
+    TRUSTED_SHARE,
+    discount_weak_axis,
+    step_back,
+)
 from frontend.heading_kernels import doubt_heading
 from frontend.icp_kernels import (
     COST,
@@ -21,7 +26,6 @@ from frontend.icp_kernels import (
 )
 from frontend.scatter_kernels import scatter
 
-TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
 COARSE = 2  # passes after which other starts are compared
 
 

@@ -10,6 +10,7 @@ from frontend.scan_kernels import LINE, VALID
 
 WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
 SHIFT = 3.0  # robust scales to either side at which the proof is taken
+TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
 DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
 BORNE_OUT = 0.5  # times what all others say: as far they are believed, a third of the whole
 
@@ -43,9 +44,9 @@ def discount_weak_axis(
     Held to its pairs, a scan that is shifted along an axis it sees costs more, and it still does
     when each beam may choose its partner anew.  Along a wall whose normals are noisy, or which
     bows, the first holds and the second does not: the next piece of wall serves as well.  So
-    the axis keeps the share of its information that the cost with free partners bears out; and
-    no more than a third of that may rest on the strongest few pairs, for what they say alone may
-    be a single wrong pair.
+    the axis keeps the share of its information that the cost with free partners bears out, after
+    the strongest few pairs are left out: what they say alone may be a single wrong pair.  Where
+    the others prove the axis, the strongest count again, up to a third of the whole.
     """
     turn = max(system[5], 1e-300)
     xx = system[0] - system[2] * system[2] / turn - system[FEIGNED]
@@ -93,7 +94,9 @@ def discount_weak_axis(
         free += cost if side != 0 else -2.0 * cost
     share = min(max((free - chance) / max(held, 1e-300), 0.0), 1.0)
     rest = max(low - alone, 0.0)
-    left = share * (rest + min(alone, BORNE_OUT * rest))
+    left = share * rest
+    if left >= TRUSTED_SHARE * low:  # proven without them
+        left += share * min(alone, BORNE_OUT * rest)
     surplus = low - left
     system[FEIGNED] += surplus * x * x
     system[FEIGNED + 1] += surplus * x * y

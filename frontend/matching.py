@@ -45,7 +45,7 @@ class MatchConfig(BaseModel):
         0.35, ge=0, le=1, description="share of paired beams that must fit"
     )
     correlation: float = Field(
-        1.05, gt=0, description="factor on the covariance that range noise alone explains"
+        1.07, gt=0, description="factor on the covariance that range noise alone explains"
     )
     lasting: float = Field(
         1.15,
