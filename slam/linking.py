@@ -95,8 +95,25 @@ class Linker:
         ]
         return Link(step, edges, note, lie)
 
+    def suspicion(self, stretch: Stretch, tracked: Tracked) -> tuple[float, float]:
+        """By how much (m/s, rad/s) the odometry may lie within a stretch that is to be halved.
+
+        Where the match of the whole refutes it, a lie of that size is spread over its parts. In
+        each of them it may be too small to be noticed, and would still pull the match along.
+        """
+        if tracked.odometry_trusted or not tracked.match_trusted:
+            return stretch.suspected
+        error = stretch.moved.between(tracked.result.target_T_source)
+        way, turn = float(np.hypot(error.x(), error.y())), abs(error.theta())
+        known = stretch.suspected
+        return max(known[0], way / stretch.seconds), max(known[1], turn / stretch.seconds)
+
     def _odometry_covariance(self, stretch: Stretch) -> NDArray[np.float64]:
-        return self._config.odometry.covariance(stretch.path_m, stretch.path_rad, stretch.seconds)
+        way, turn = stretch.suspected
+        covariance = self._config.odometry.covariance(
+            stretch.path_m, stretch.path_rad, stretch.seconds
+        )
+        return covariance + np.diag(np.array([way, way, turn]) * stretch.seconds) ** 2
 
     def _lie(self, stretch: Stretch, tracked: Tracked) -> OdometryLie | None:
         """What the odometry is caught at by this keyframe, if anything."""

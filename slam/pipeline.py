@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from gtsam import Pose2
@@ -36,7 +36,7 @@ from slam.loops_beside import Beside, at_once
 from slam.past import Past, locate
 from slam.records import decision_record, estimate_record, factor_record
 from slam.scan_track import ScanTrack
-from slam.sightings import Paired, ScanPairing, Sighting, Stretch, sight
+from slam.sightings import HONEST, Paired, ScanPairing, Sighting, Stretch, sight
 from slam.stopwatch import NoWatch
 from slam.tracking import Tracked
 
@@ -44,6 +44,16 @@ MOST_BETWEEN = 64  # scans kept between two keyframes
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Ahead:
+    """A keyframe to be."""
+
+    sighting: Sighting
+    reason: str
+    between: Sequence[Sighting]  # scans since the keyframe before
+    suspected: tuple[float, float]  # m/s, rad/s, as in `Stretch`
 
 
 class Slam:
@@ -80,8 +90,7 @@ class Slam:
         self._latest: Sighting | None = None
         self._kept: Sighting | None = None  # the last keyframe's
         self._between: list[Sighting] = []  # scans since then
-        # Keyframes to be, the next one last: scan, reason, and the scans before it.
-        self._ahead: list[tuple[Sighting, str, Sequence[Sighting]]] = []
+        self._ahead: list[_Ahead] = []  # keyframes to be, the next one last
         self._past: Past | None = None
         self._sought_m: float | None = None  # way at which the place in the past was last sought
 
@@ -136,7 +145,7 @@ class Slam:
                 if wait and matches == MATCHES_A_STEP:
                     return
                 matches += 1
-                self._advance(*self._ahead.pop())
+                self._advance(self._ahead.pop())
             paired = self._pairing.next(wait)
             if paired is None:
                 return
@@ -183,7 +192,7 @@ class Slam:
             self._choose_interval(moved, seconds)
         reason = reason_to_keep(moved, stretch.scans, seconds, self._interval, self._choice)
         if reason:
-            self._ahead.append((sighting, reason, self._between))
+            self._ahead.append(_Ahead(sighting, reason, self._between, HONEST))
             return
         self._between.append(sighting)
         if len(self._between) > MOST_BETWEEN:  # the robot stands still: keep every other one
@@ -236,13 +245,14 @@ class Slam:
         self._decide(sighting.scan, sighting.index, "first", Pose2(), None)
         self._keep(sighting, prepared, 0.0)
 
-    def _advance(self, sighting: Sighting, reason: str, between: Sequence[Sighting]) -> None:
+    def _advance(self, ahead: _Ahead) -> None:
         """Add a keyframe; where match and odometry quarrel, go there by a scan in between.
 
         A shorter interval has more overlap and less odometry: halving it until both agree, or
         no scan is left between, is what keeps the track when the odometry lies.  After a long bad
         stretch that can be dozens of keyframes: they are left to the next steps, while scans wait.
         """
+        sighting, between = ahead.sighting, ahead.between
         prepared = self._prepare(sighting.scan, self.mount)
         if prepared.valid < self.config.matcher.min_pairs:
             self.noted["keyframe postponed: scan too empty"] += 1
@@ -250,16 +260,18 @@ class Slam:
         self._close_loops()
         assert self.graph is not None
         assert self._kept is not None
-        stretch = Stretch(self._kept, sighting)
+        stretch = Stretch(self._kept, sighting, ahead.suspected)
         with self._watch("matching"):
             tracked = self._linker.track(self.keyframes, self.graph, stretch, prepared, between)
         self.matches += 1
         if between and not (tracked.odometry_trusted and tracked.match_trusted):
-            middle = len(between) // 2
-            self._ahead.append((sighting, reason, between[middle + 1 :]))
-            self._ahead.append((between[middle], "halved", between[:middle]))
+            middle, suspected = len(between) // 2, self._linker.suspicion(stretch, tracked)
+            self._ahead += [
+                _Ahead(sighting, ahead.reason, between[middle + 1 :], suspected),
+                _Ahead(between[middle], "halved", between[:middle], suspected),
+            ]
             return
-        self._extend(stretch, prepared, tracked, reason)
+        self._extend(stretch, prepared, tracked, ahead.reason)
 
     def _extend(
         self, stretch: Stretch, prepared: PreparedScan, tracked: Tracked, reason: str

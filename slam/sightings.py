@@ -78,12 +78,16 @@ class Sighting:
     turn_rate: float  # rad/s
 
 
+HONEST = (0.0, 0.0)  # m/s and rad/s by which the wheels are suspected to tell a wrong motion
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Stretch:
     """What the wheels told from one sighting to a later one."""
 
     first: Sighting
     last: Sighting
+    suspected: tuple[float, float] = HONEST
 
     @property
     def moved(self) -> Pose2:

@@ -20,6 +20,7 @@ from slam.chi_square import chi_square_limit
 # there is; each with a start that would be right.
 RIVALS = ("mirrored translation", "zero motion", "previous velocity")
 RIVAL_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
+GOES_ON_S = 4.0  # s for which a robot may have gone on as it did before; a stall takes seconds
 APART_M = 0.03  # m between the ends of two matches that are not the same
 
 DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
@@ -152,7 +153,7 @@ def starts_in_doubt(
     ]
     if last_step is not None:
         step, duration = last_step
-        share = min(seconds / max(duration, 1e-3), 3.0)
+        share = min(seconds, GOES_ON_S) / max(duration, 1e-3)
         starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
     return starts
 
