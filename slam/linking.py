@@ -15,7 +15,7 @@ from frontend.scan import PreparedScan
 from slam.config import SlamConfig
 from slam.keyframe import Keyframe
 from slam.odometry_faults import LieDetector, OdometryLie, Step
-from slam.sightings import Sighting, Stretch
+from slam.sightings import HONEST, Sighting, Stretch
 from slam.tracking import Tracked, starts_in_doubt, track
 
 
@@ -80,6 +80,9 @@ class Linker:
             # Nothing vouches for the odometry, or something speaks against it: it says little.
             information = information / self._config.lost_inflation**2
             note = f"lost: {note}" if tracked.lost else note
+        suspected = stretch.suspected != HONEST
+        if suspected and tracked.odometry_trusted:
+            note = "odometry refused: as part of a longer stretch"
         if lie := self._lie(stretch, tracked):
             note = f"{lie}; {note}" if note else lie
         odometry = Edge("odometry", new - 1, new, stretch.moved, information)
@@ -90,7 +93,7 @@ class Linker:
         step = result.target_T_source if tracked.match_trusted else stretch.moved
         self._last_step = (step, stretch.seconds)
         edges = [
-            (odometry, tracked.odometry_trusted or tracked.lost or blind),
+            (odometry, (tracked.odometry_trusted and not suspected) or tracked.lost or blind),
             (matched, tracked.match_trusted),
         ]
         return Link(step, edges, note, lie)
