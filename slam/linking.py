@@ -18,6 +18,8 @@ from slam.odometry_faults import LieDetector, OdometryLie, Step
 from slam.sightings import HONEST, Sighting, Stretch
 from slam.tracking import Tracked, starts_in_doubt, track
 
+SURE = 0.7  # share of beams that fit a match which convicts the wheels beyond its own step
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Link:
@@ -101,10 +103,11 @@ class Linker:
     def suspicion(self, stretch: Stretch, tracked: Tracked) -> tuple[float, float]:
         """By how much (m/s, rad/s) the odometry may lie within a stretch that is to be halved.
 
-        Where the match of the whole refutes it, a lie of that size is spread over its parts. In
+        Where a good match of the whole refutes it, a lie of that size is spread over its parts. In
         each of them it may be too small to be noticed, and would still pull the match along.
         """
-        if tracked.odometry_trusted or not tracked.match_trusted:
+        sure = tracked.match_trusted and tracked.result.quality >= SURE
+        if tracked.odometry_trusted or not sure:
             return stretch.suspected
         error = stretch.moved.between(tracked.result.target_T_source)
         way, turn = float(np.hypot(error.x(), error.y())), abs(error.theta())
