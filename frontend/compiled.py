@@ -5,15 +5,10 @@ No fastmath, so that equal inputs give equal bits.
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from typing import Any
 
 from numba import njit
-
-# Compiling makes so much garbage that it is collected time and again, and each time the many
-# objects of the compiler itself would be gone through: a tenth of the time.
-gc.freeze()
 
 _OPTIONS: dict[str, Any] = {
     "cache": True,
