@@ -56,6 +56,7 @@ class LieDetector:
         self._run: Step | None = None  # doubtful steps so far, joined
         self._kind: OdometryLie | None = None
         self._named = False
+        self._other: tuple[OdometryLie, Step] | None = None  # steps of another kind after a name
 
     def watch(self, step: Step, refused: bool) -> OdometryLie | None:
         """The lie that this step makes evident; None for an honest one or one already named.
@@ -65,9 +66,9 @@ class LieDetector:
         if not refused and self._disagreement(step) <= DOUBTFUL:
             self.forget()
             return None
-        if self._named:  # where a lie ends, half a step may look like another
-            return None
         kind = kind_of(step.odometry, step.matched)
+        if self._named:
+            return self._after_the_name(step, kind)
         if kind != self._kind:
             self.forget()
         self._run = step if self._run is None else _joined(self._run, step)
@@ -76,9 +77,26 @@ class LieDetector:
         self._named = bool(evident)
         return kind if evident else None
 
+    def _after_the_name(self, step: Step, kind: OdometryLie) -> OdometryLie | None:
+        """Another name for the same run, if several of its steps in a row bear that one out.
+
+        Where a lie begins or ends, half a step may look like another kind.
+        """
+        if kind == self._kind:
+            self._other = None
+        elif self._other is None or self._other[0] != kind:
+            self._other = kind, step
+        else:
+            joined = _joined(self._other[1], step)
+            self._other = kind, joined
+            if self._disagreement(joined) > self._limit:
+                self._kind, self._other = kind, None
+                return kind
+        return None
+
     def forget(self) -> None:
         """The run of doubtful steps has ended."""
-        self._run, self._kind, self._named = None, None, False
+        self._run, self._kind, self._named, self._other = None, None, False, None
 
     def _disagreement(self, step: Step) -> float:
         """Squared Mahalanobis distance of both motions, chi-square of 3 if both are honest."""

@@ -58,6 +58,20 @@ def test_short_steps_of_the_wrong_sign_are_evident_together():
     assert [name for name in named if name] == ["sign-flip"]
 
 
+def test_a_lie_that_begins_with_half_a_step_gets_its_name_when_it_goes_on():
+    """The first step goes half ahead and half back: the way told looks far too long."""
+    watcher, back = detector(), step(BACK.inverse(), BACK)
+    assert watcher.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) == "jump"
+    assert [watcher.watch(back, refused=True) for _ in range(4)] == [None, "sign-flip", None, None]
+
+
+def test_half_a_step_at_the_end_of_a_lie_is_no_other_lie():
+    watcher, back = detector(), step(BACK.inverse(), BACK)
+    assert watcher.watch(back, refused=True) == "sign-flip"
+    assert watcher.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) is None
+    assert watcher.watch(step(AHEAD, AHEAD), refused=False) is None
+
+
 def test_a_blind_match_accuses_nobody_along_its_blind_axis():
     blind = np.diag([0.0, 4e4, 2.5e5])
     watcher = detector()
