@@ -266,9 +266,11 @@ def test_an_unfinished_recording_is_never_overwritten(tmp_path):
 
 
 def command(*words, **options):
+    """The command as from a terminal, even if the tests themselves ignore that it is closed."""
     return subprocess.Popen(
         [sys.executable, "-m", "slam", *map(str, words)], stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True, **options,
+        stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL), **options,
     )  # fmt: skip
 
 
