@@ -266,12 +266,15 @@ def test_an_unfinished_recording_is_never_overwritten(tmp_path):
 
 
 def command(*words, **options):
-    """The command as from a terminal, even if the tests themselves ignore that it is closed."""
     return subprocess.Popen(
         [sys.executable, "-m", "slam", *map(str, words)], stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL), **options,
+        stderr=subprocess.PIPE, text=True, **options,
     )  # fmt: skip
+
+
+def as_from_a_terminal():
+    """The tests themselves may have been started so that a closed terminal is ignored."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def finished(process):
@@ -286,8 +289,10 @@ def finished(process):
 def test_a_signal_leaves_a_complete_run(simulated, tmp_path, number, code):
     with simulated() as robot:
         (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
-        process = command("online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
-                          "--set", "loops.enabled=false")  # fmt: skip
+        process = command(
+            "online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
+            "--set", "loops.enabled=false", preexec_fn=as_from_a_terminal,
+        )  # fmt: skip
         wait_for(lambda: robot.laser.state == "stream" and robot.base.sending)
         time.sleep(2.0)
         process.send_signal(number)
