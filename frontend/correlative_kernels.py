@@ -98,7 +98,7 @@ def branch_and_bound(
 
     `xs`, `ys` and `bounds` come from `bound_blocks`, `order` sorts the bounds, largest first.
     `excluded` is (dx, dy, radius) in cells: poses nearer than radius do not count.
-    `stack` (4 levels, 4) is scratch: bound, level, dx, dy.
+    `stack` (4 levels + 4, 4) is scratch: bound, level, dx, dy.
     """
     top = len(levels) - 1
     block = 1 << top

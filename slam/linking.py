@@ -82,7 +82,8 @@ class Linker:
             # Nothing vouches for the odometry, or something speaks against it: it says little.
             information = information / self._config.lost_inflation**2
             note = f"lost: {note}" if tracked.lost else note
-        suspected = stretch.suspected != HONEST
+        # A part of a refuted stretch needs no odometry, as long as its own match holds it.
+        suspected = stretch.suspected != HONEST and tracked.match_trusted and not blind
         if suspected and tracked.odometry_trusted:
             note = "odometry refused: as part of a longer stretch"
         if lie := self._lie(stretch, tracked):

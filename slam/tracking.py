@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from gtsam import Pose2
@@ -100,7 +99,7 @@ def track(
         config: thresholds.
         matcher: of the scan matcher.
     """
-    limit = _limit(config.false_alarm)
+    limit = chi_square_limit(config.false_alarm, 3)
     first = match(references, source, prior.target_T_source, matcher, prior)
     agreed = first.converged and disagreement(first, prior) < limit
     good = first.explained >= config.good_explained and first.quality >= config.good_quality
@@ -130,12 +129,6 @@ def track(
         return Tracked(best, True, True, "")
     cause = f"chi-square {distance:.0f}" if plausible else "faster than the robot can move"
     return Tracked(best, False, True, f"odometry refused: {cause}; matched from {start}")
-
-
-@lru_cache
-def _limit(false_alarm: float) -> float:
-    """Chi-square that honest odometry and an honest match exceed so often."""
-    return chi_square_limit(false_alarm, 3)
 
 
 def starts_in_doubt(

@@ -12,7 +12,7 @@ from logs.messages import LaserScan
 from slam.config import SlamConfig
 from slam.linking import SURE, Linker
 from slam.sightings import HONEST, Stretch, sight
-from slam.tracking import starts_in_doubt
+from slam.tracking import Tracked, starts_in_doubt
 
 
 def stretch(moved, seconds, suspected=HONEST):
@@ -21,11 +21,12 @@ def stretch(moved, seconds, suspected=HONEST):
     return Stretch(first, sight(scans[1], moved, 1, first), suspected)
 
 
-def tracked(found, quality=0.9, odometry_trusted=False, match_trusted=True):
-    result = SimpleNamespace(target_T_source=found, quality=quality)
-    return SimpleNamespace(
-        result=result, odometry_trusted=odometry_trusted, match_trusted=match_trusted
+def tracked(found, quality=0.9, odometry_trusted=False, match_trusted=True, weak_axis=None):
+    known = np.diag([4e4, 4e4, 2.5e5])
+    result = SimpleNamespace(
+        target_T_source=found, quality=quality, information=known, weak_axis=weak_axis
     )
+    return Tracked(result, odometry_trusted, match_trusted, "")
 
 
 def test_a_refuted_stretch_makes_its_parts_suspect_by_the_size_of_the_lie():
@@ -46,6 +47,21 @@ def test_a_refuted_stretch_makes_its_parts_suspect_by_the_size_of_the_lie():
 )
 def test_only_a_sure_match_that_refutes_the_wheels_makes_them_suspect(seen):
     assert Linker(SlamConfig()).suspicion(stretch(Pose2(0.2, 0, 0), 2.0), seen) == HONEST
+
+
+@pytest.mark.parametrize(
+    ("match_trusted", "weak_axis", "used"),
+    [(True, None, [False, True]), (True, 0.0, [True, True]), (False, None, [True, False])],
+)
+def test_a_part_of_a_refuted_stretch_keeps_its_odometry_if_nothing_else_holds_it(
+    match_trusted, weak_axis, used
+):
+    """Without any edge the keyframe would be loose, and the run would end."""
+    here = stretch(Pose2(0.1, 0, 0), 0.5, (0.6, 0.0))
+    seen = tracked(Pose2(0.3, 0, 0), 0.9, True, match_trusted=match_trusted, weak_axis=weak_axis)
+    link = Linker(SlamConfig()).link(here, seen, 1)
+    assert [is_used for _, is_used in link.edges] == used
+    assert ("odometry refused" in link.note) == (not used[0])
 
 
 def test_wheels_that_stood_still_for_seconds_may_have_hidden_the_whole_way():
