@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frontend.compiled import inlined, part
-from frontend.icp_kernels import FEIGNED, eigen2, nearest_beam
+from frontend.icp_kernels import FEIGNED, eigen2, in_reference, nearest_beam
 from frontend.scan_kernels import LINE, VALID
 
 WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
@@ -131,10 +131,7 @@ def free_cost(
     gate2, inverse_scale2 = gate * gate, 1.0 / (scale * scale)
     for ref in range(len(poses)):
         first, n = starts[ref], starts[ref + 1] - starts[ref]
-        c, s = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
-        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-        dx, dy = x - poses[ref, 0], y - poses[ref, 1]
-        tx, ty = cr * dx + sr * dy, cr * dy - sr * dx
+        c, s, tx, ty = in_reference(poses, ref, x, y, theta)
         for i in range(len(source_points)):
             if not source_flags[i] & VALID:
                 continue
@@ -188,10 +185,7 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt, st
     for k in range(DOUBTED_PAIRS):
         strongest[k] = 0.0
     for ref in range(len(poses)):
-        c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
-        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-        ux, uy = pose[0] - poses[ref, 0], pose[1] - poses[ref, 1]
-        tx, ty = cr * ux + sr * uy, cr * uy - sr * ux
+        c, s, tx, ty = in_reference(poses, ref, pose[0], pose[1], pose[2])
         for i in range(len(source_points)):
             j = partners[ref, i]
             if j < 0:

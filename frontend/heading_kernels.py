@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from frontend.compiled import part
 from frontend.evidence_kernels import BORNE_OUT, DOUBTED_PAIRS, keep_strongest
-from frontend.icp_kernels import FEIGNED_TURN
+from frontend.icp_kernels import FEIGNED_TURN, in_reference
 
 RIDGE = 1e-3  # share of the translation's information that bounds the shift along a blind axis
 
@@ -32,10 +30,7 @@ def doubt_heading(source_points, lines, poses, pose, partners, scale, system, st
     for k in range(DOUBTED_PAIRS):
         strongest[k] = 0.0
     for ref in range(len(poses)):
-        c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
-        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-        ux, uy = pose[0] - poses[ref, 0], pose[1] - poses[ref, 1]
-        tx, ty = cr * ux + sr * uy, cr * uy - sr * ux
+        c, s, tx, ty = in_reference(poses, ref, pose[0], pose[1], pose[2])
         for i in range(len(source_points)):
             j = partners[ref, i]
             if j < 0:

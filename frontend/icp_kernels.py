@@ -128,6 +128,15 @@ def nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2):
     return nearest_from(px, py, centre, points, first, n, geometries, reach2, ref, gate2)
 
 
+@inlined
+def in_reference(poses, ref, x, y, theta):
+    """reference_T_source as (cos, sin, x, y), from target_T_source = (x, y, theta)."""
+    c, s = np.cos(theta - poses[ref, 2]), np.sin(theta - poses[ref, 2])
+    cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
+    dx, dy = x - poses[ref, 0], y - poses[ref, 1]
+    return c, s, cr * dx + sr * dy, cr * dy - sr * dx
+
+
 @part
 def aim(source_points, source_flags, stride, geometries, transforms, partners):
     """Fill `partners` with the beam that looks at each point; -1 for beams without a point.
@@ -187,13 +196,9 @@ def accumulate(
     gate2 = gate * gate
     inverse_scale2 = 1.0 / (scale * scale)
     for ref in range(len(transforms)):
-        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-        dx, dy = x - poses[ref, 0], y - poses[ref, 1]
-        transforms[ref, 0], transforms[ref, 1] = (
-            np.cos(theta - poses[ref, 2]),
-            np.sin(theta - poses[ref, 2]),
-        )
-        transforms[ref, 2], transforms[ref, 3] = cr * dx + sr * dy, cr * dy - sr * dx
+        c, s, tx, ty = in_reference(poses, ref, x, y, theta)
+        transforms[ref, 0], transforms[ref, 1] = c, s
+        transforms[ref, 2], transforms[ref, 3] = tx, ty
     if search:
         aim(source_points, source_flags, stride, geometries, transforms, partners)
     for i in range(0, len(source_points), stride):

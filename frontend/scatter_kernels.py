@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from frontend.compiled import kernel, part
+from frontend.icp_kernels import in_reference
 from frontend.scan_kernels import LINE
 
 
@@ -54,10 +55,7 @@ def scatter(
         # Gradient that each beam of the reference carries: constant, and per m in x and y; each
         # line adds to a run of beams, so the sums are kept as differences.
         runs = np.zeros((starts[ref + 1] - starts[ref] + 1, 9))
-        c, s = np.cos(pose[2] - poses[ref, 2]), np.sin(pose[2] - poses[ref, 2])
-        cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-        dx, dy = pose[0] - poses[ref, 0], pose[1] - poses[ref, 1]
-        tx, ty = cr * dx + sr * dy, cr * dy - sr * dx
+        c, s, tx, ty = in_reference(poses, ref, pose[0], pose[1], pose[2])
         for i in range(len(source_points)):
             j = partners[ref, i]
             if j < 0:
