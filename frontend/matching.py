@@ -19,6 +19,7 @@ from frontend.alternatives import find_pose
 from frontend.scan import PreparedScan
 
 Matrix = NDArray[np.float64]
+Triple = tuple[float, float, float]  # x (m), y (m), theta (rad)
 Method = Literal["point_to_line", "point_to_point", "ndt", "psm"]
 
 
@@ -71,6 +72,14 @@ class MatchConfig(BaseModel):
         """(3, 4): the same with a first pass that reaches farther."""
         wide = [self.search_gate, 0.5 * self.search_gate, 0.05, self.coarse_beams]
         return np.vstack([[wide], self.passes_with_prior])
+
+    @cached_property
+    def limits(self) -> tuple[float, float, float, float, int, int, float]:
+        """The last arguments of `align`: noise, variance, floors, iterations, pairs, quality."""
+        return (
+            self.range_noise, self.range_noise**2 * self.correlation, self.floor_trans,
+            self.floor_rot, self.iterations, self.min_pairs, self.good_quality,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -145,7 +154,8 @@ def match(
     A refused match is an outcome: `converged` is False and `reason` says why; the pose is then
     the guess.  With a prior, an axis that the scans do not see keeps what the prior says.
     """
-    if not math.isfinite(guess.x() + guess.y() + guess.theta()):
+    start = guess.x(), guess.y(), guess.theta()
+    if not math.isfinite(sum(start)):
         return _refused(guess, prior, "the guess is not finite")
     stack = _stack(references)
     if source.valid < config.min_pairs:
@@ -153,26 +163,28 @@ def match(
     if stack is None:
         return _refused(guess, prior, "no reference has usable beams")
     if config.method != "point_to_line":
-        return _alternative(references, stack, source, guess, config, prior)
+        return _alternative(references, stack, source, guess, start, config, prior)
     passes = config.passes_without_prior if prior is None else config.passes_with_prior
     others = OTHER_STARTS if prior is None else NO_STARTS
-    return _align(stack, source, guess, passes, others, config, prior)
+    return _align(stack, source, guess, start, passes, others, config, prior)
 
 
 def _alternative(
     references: Sequence[Reference], stack: tuple[Any, ...], source: PreparedScan, guess: Pose2,
-    config: MatchConfig, prior: Prior | None,
+    start: Triple, config: MatchConfig, prior: Prior | None,
 ) -> MatchResult:  # fmt: skip
     """The pose by another method, judged by the lines at that pose.
 
     Their own closed-form covariances are wrong (point-to-point: Bonnabel 2014), so the
     information is what the best of matches could have: an upper bound.
     """
-    pose, last_step, iterations = find_pose(references, stack, source, _vector(guess), config)
+    pose, last_step, iterations = find_pose(references, stack, source, np.array(start), config)
     if not np.isfinite(last_step) or not np.isfinite(pose).all():
         return _refused(guess, prior, f"{config.method} found no pose")
     found = Pose2(*pose)
-    judged = _align(stack, source, found, config.passes_with_prior[-1:], NO_STARTS, config, prior)
+    at = found.x(), found.y(), found.theta()
+    last_pass = config.passes_with_prior[-1:]
+    judged = _align(stack, source, found, at, last_pass, NO_STARTS, config, prior)
     if last_step > SETTLED * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
         return judged._replace(
@@ -182,28 +194,30 @@ def _alternative(
 
 
 def _align(
-    stack: tuple[Any, ...], source: PreparedScan, guess: Pose2, passes: Matrix, others: Matrix,
-    config: MatchConfig, prior: Prior | None,
+    stack: tuple[Any, ...], source: PreparedScan, guess: Pose2, start: Triple, passes: Matrix,
+    others: Matrix, config: MatchConfig, prior: Prior | None,
 ) -> MatchResult:  # fmt: skip
-    """Align by point-to-line ICP from the guess, and from `others` about it if that goes badly."""
-    # Of another memory layout, all kernels would be compiled anew.
-    known = _IGNORANCE if prior is None else np.ascontiguousarray(prior.covariance)
-    centre = guess if prior is None else prior.target_T_source
+    """Align by point-to-line ICP from the guess, and from `others` about it if that goes badly.
+
+    `start` holds the guess as (x, y, theta): to ask a pose for them takes as long as all of this.
+    """
+    known, centre = _IGNORANCE, start
+    if prior is not None:
+        # Of another memory layout, all kernels would be compiled anew.
+        known, at = np.ascontiguousarray(prior.covariance), prior.target_T_source
+        centre = start if at is guess else (at.x(), at.y(), at.theta())
     (
         x, y, theta, information, covariance, last_step, iterations, axis, weakness,
         pairs, inliers, paired, fitting, tried, cost, weight,
     ) = align(
         source.points, source.lines, source.flags, source.geometry, *stack,
-        guess.x(), guess.y(), guess.theta(), centre.x(), centre.y(), centre.theta(), known,
-        prior is not None, passes, others, config.range_noise,
-        config.range_noise**2 * config.correlation, config.floor_trans, config.floor_rot,
-        config.iterations, config.min_pairs, config.good_quality,
+        *start, *centre, known, prior is not None, passes, others, *config.limits,
     )  # fmt: skip
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
     explained = inliers / pairs
     reason = ""
-    if last_step > SETTLED * passes[-1, 2]:
+    if last_step > SETTLED * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
     elif explained < config.min_explained:
         reason = f"only {100 * explained:.0f} % of the beams fit"
@@ -212,10 +226,6 @@ def _align(
         fitting / tried, math.sqrt(cost / weight), axis if weakness > 1.0 else None, weakness,
         iterations, not reason, reason,
     )  # fmt: skip
-
-
-def _vector(pose: Pose2) -> Matrix:
-    return np.array([pose.x(), pose.y(), pose.theta()])
 
 
 def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
@@ -227,7 +237,7 @@ def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     if len(used) == 1:
         starts, geometries, reach2 = first.alone
         at = used[0].target_T_scan
-        poses = np.array([[at.x(), at.y(), at.theta()]])
+        poses = np.array(((at.x(), at.y(), at.theta()),))
         return (
             first.points, first.lines, first.windows, first.flags, starts, geometries, reach2, poses
         )  # fmt: skip

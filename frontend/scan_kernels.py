@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import kernel, part
+from frontend.compiled import inlined, kernel, part
 
 HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
 # Squared residuals of a line through k + 2 points, in units of the noise's variance, that noise
 # alone explains: k of them are expected, and three sigmas more are allowed.
 _FREE = np.arange(2 * HALF_WIDTHS[-1] + 1)
 ALLOWED = _FREE + 3.0 * np.sqrt(2.0 * _FREE)
+ONE_SIDED = 6  # of the half widths, those that a window to one side only may have
+SHARES = 1.0 / np.maximum(np.arange(len(ALLOWED) + 1), 1)  # of a point among as many: no division
 CENTRE_RANGE = 10.0  # m, farther points do not move a scan's centre
 
 VALID = 1  # the beam hit something
@@ -79,11 +81,10 @@ def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
     return valid
 
 
-@part
+@inlined
 def _fit(sums, i, j):
     """Centroid of points i..j and their scatter about it: mx, my, xx, yy, xy."""
-    m = j - i + 1.0
-    share = 1.0 / m
+    share = SHARES[j - i + 1]
     x, y = sums[j + 1, 0] - sums[i, 0], sums[j + 1, 1] - sums[i, 1]
     mx, my = x * share, y * share
     xx = (sums[j + 1, 2] - sums[i, 2]) - x * mx
@@ -92,7 +93,7 @@ def _fit(sums, i, j):
     return mx, my, xx, yy, xy
 
 
-@part
+@inlined
 def _normal(xx, yy, xy):
     """A vector across the line whose scatter matrix is [[xx, xy], [xy, yy]], of any length."""
     half = 0.5 * (xx - yy)
@@ -187,7 +188,7 @@ def _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags):
         flags[i] |= LINE
 
 
-@part
+@inlined
 def _straight(sums, a, b, variance):
     """Whether points a..b lie on a line to within their noise, of the given variance (m^2).
 
@@ -202,7 +203,7 @@ def _straight(sums, a, b, variance):
     # went into the line.
     middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     root2 = half * half + xy * xy
-    surplus = middle - variance * ALLOWED[min(b - a - 1, len(ALLOWED) - 1)]
+    surplus = middle - variance * ALLOWED[b - a - 1]
     if surplus > 0.0 and surplus * surplus > root2:
         return False
     third = (b - a + 1) // 3
@@ -225,39 +226,40 @@ def _straight(sums, a, b, variance):
     return True
 
 
-@part
+@inlined
 def _longest_window(sums, i, first, last, start, limit):
-    """Index into HALF_WIDTHS of the longest straight window about i, from `start`; -1 if none."""
+    """Index into HALF_WIDTHS of the longest straight window about i; -1 if there is none.
+
+    From `start` it widens as long as the points are straight, or else narrows until they are.
+    """
     w = start
-    if not _straight(sums, max(first, i - HALF_WIDTHS[w]), min(last, i + HALF_WIDTHS[w]), limit):
-        w -= 1
-        while w >= 0 and not _straight(
-            sums, max(first, i - HALF_WIDTHS[w]), min(last, i + HALF_WIDTHS[w]), limit
-        ):
+    while True:
+        h = HALF_WIDTHS[w]
+        if _straight(sums, max(first, i - h), min(last, i + h), limit):
+            whole = i - h <= first and i + h >= last
+            if w < start or w + 1 == len(HALF_WIDTHS) or whole:
+                return w
+            w += 1
+        else:
             w -= 1
-        return w
-    while w + 1 < len(HALF_WIDTHS):
-        h = HALF_WIDTHS[w + 1]
-        if i - HALF_WIDTHS[w] <= first and i + HALF_WIDTHS[w] >= last:
-            break
-        if not _straight(sums, max(first, i - h), min(last, i + h), limit):
-            break
-        w += 1
-    return w
+            if w < 0 or w >= start:
+                return w
 
 
 @part
 def _one_sided(sums, i, first, last, limit):
     """The longer straight window that ends or begins at i, for points at a corner."""
     a, b = i, i
-    for h in HALF_WIDTHS[:6]:
-        if i - h - 1 < first or not _straight(sums, i - h - 1, i, limit):
-            break
-        a = i - h - 1
-    for h in HALF_WIDTHS[:6]:
-        if i + h + 1 > last or not _straight(sums, i, i + h + 1, limit):
-            break
-        b = i + h + 1
+    for side in range(2):
+        for k in range(ONE_SIDED):
+            reach = HALF_WIDTHS[k] + 1
+            begin, end = (i - reach, i) if side == 0 else (i, i + reach)
+            if begin < first or end > last or not _straight(sums, begin, end, limit):
+                break
+            if side == 0:
+                a = begin
+            else:
+                b = end
     if i - a >= b - i:
         return a, i
     return i, b
