@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from typing import Any, Literal, NamedTuple
@@ -82,16 +81,14 @@ class MatchConfig(BaseModel):
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Reference:
+class Reference(NamedTuple):
     """A fixed scan to match against, and where it stands in the target frame."""
 
     target_T_scan: Pose2
     scan: PreparedScan
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Prior:
+class Prior(NamedTuple):
     """What is known before the match: a pose and the covariance of its error, in its own frame."""
 
     target_T_source: Pose2
@@ -235,30 +232,21 @@ def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
         return None
     first = used[0].scan
     if len(used) == 1:
-        starts, geometries, reach2 = first.alone
         at = used[0].target_T_scan
         poses = np.array(((at.x(), at.y(), at.theta()),))
-        return (
-            first.points, first.lines, first.windows, first.flags, starts, geometries, reach2, poses
-        )  # fmt: skip
-    scans = [r.scan for r in used]
-    joined = (
-        np.concatenate([scan.points for scan in scans]),
-        np.concatenate([scan.lines for scan in scans]),
-        np.concatenate([scan.windows for scan in scans]),
-        np.concatenate([scan.flags for scan in scans]),
-        np.concatenate([scan.alone[1] for scan in scans]),
-    )
+        return first.points, first.lines, first.windows, first.flags, *first.alone, poses
+    _, points, lines, windows, flags, *_, alone = zip(*(r.scan for r in used), strict=True)
+    geometries, tables = [each[1] for each in alone], [each[2] for each in alone]
+    joined = [np.concatenate(arrays) for arrays in (points, lines, windows, flags, geometries)]
+    reach2 = tables[0]  # one table serves all scans of the same beam spacing
+    if any(table is not reach2 for table in tables):
+        reach2 = np.concatenate(tables)
+        joined.append(reach2)
     for array in joined:  # like those of a single scan, so that one compiled kernel serves both
         array.setflags(write=False)
-    points, lines, windows, flags, geometries = joined
-    starts = np.array([0, *accumulate(len(scan.points) for scan in scans)])
-    reach2 = first.alone[2]  # one table serves all scans of the same beam spacing
-    if any(scan.alone[2] is not reach2 for scan in scans):
-        reach2 = np.concatenate([scan.alone[2] for scan in scans])
-        reach2.setflags(write=False)
-    poses = np.array([(at.x(), at.y(), at.theta()) for at in (r.target_T_scan for r in used)])
-    return points, lines, windows, flags, starts, geometries, reach2, poses
+    starts = np.array([0, *accumulate(map(len, points))])
+    poses = np.array([(at.x(), at.y(), at.theta()) for at, _ in used])
+    return *joined[:4], starts, joined[4], reach2, poses
 
 
 def _refused(guess: Pose2, prior: Prior | None, reason: str) -> MatchResult:
