@@ -81,6 +81,7 @@ def replay(
 ) -> None:
     """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.config import load_config
+    from slam.forked import usable_cores
     from slam.live.viewers import ViewOptions, watched
     from slam.progress import stage_progress
     from slam.replay import replay as run_replay
@@ -91,9 +92,10 @@ def replay(
     settings = load_config(config, set_ or [])
     past = read_past(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
+    processes = 1 if view or foxglove else usable_cores()  # who is watched has threads
     with watched(options, say) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
-        summary = run_replay(log, out, settings, progress, raw, rate, viewers, past)
+        summary = run_replay(log, out, settings, progress, raw, rate, viewers, past, processes)
     _tell_summary(out, summary)
     exit_on_loss(summary["lost"], "lost")
 

@@ -18,6 +18,7 @@ from frontend.scan import PreparedScan
 from slam.keyframe import Keyframe, view_centres
 
 Matrix = NDArray[np.float64]
+Matched = tuple[Pose2, float]  # map_T_base and the quality of the match
 
 
 class LocaliseConfig(BaseModel):
@@ -139,8 +140,14 @@ class ScanLocaliser:
         self._last: _Located | None = None
         self.matches = 0
 
-    def locate(self, scan: PreparedScan, guess: Pose2, doubted: bool = False) -> Pose2:
+    def locate(
+        self, scan: PreparedScan, guess: Pose2, doubted: bool = False,
+        first: Matched | None = None,
+    ) -> Pose2:  # fmt: skip
         """map_T_base of the next scan; the guess where nothing better is found.
+
+        The match from the guess needs no scan before it: who has made it already hands it in as
+        `first`.
 
         Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
         more than it should: then the search starts again from where the last scan was found.  A
@@ -150,7 +157,9 @@ class ScanLocaliser:
         enough = self._config.good_quality if doubted else self._config.min_quality
         best, best_quality = guess, self._config.min_quality
         for start in (guess, *self._other_starts(scan.stamp_ns, guess)):
-            found, quality = self._match(scan, start)
+            found, quality = first or self.match_from(scan, start)
+            first = None
+            self.matches += 1
             if quality > best_quality:
                 best, best_quality = found, quality
             if best_quality > enough:
@@ -174,8 +183,11 @@ class ScanLocaliser:
             velocity = Pose2.Logmap(last.found.between(found)) / (stamp_ns - last.stamp_ns)
         return _Located(stamp_ns, guess, found, velocity)
 
-    def _match(self, scan: PreparedScan, guess: Pose2) -> tuple[Pose2, float]:
-        """The matched pose and its quality, 0 where it is refused."""
+    def match_from(self, scan: PreparedScan, guess: Pose2) -> Matched:
+        """The pose matched from one start and its quality, 0 where it is refused.
+
+        It changes nothing here, so that any thread may call it.
+        """
         count = min(self._config.neighbours, len(self._poses))
         view = (*guess.transformFrom(scan.centre), guess.x(), guess.y())
         near = np.atleast_1d(self._tree.query(view, k=count)[1])
@@ -186,7 +198,6 @@ class ScanLocaliser:
         ]
         prior = prior_of(base.between(guess), self._config)
         result = match(references, scan, prior.target_T_source, self._matcher, prior)
-        self.matches += 1
         if not result.converged or result.explained < self._config.min_explained:
             return guess, 0.0
         error = np.abs(Pose2.Logmap(prior.target_T_source.between(result.target_T_source)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from backend.batch import OUTLIER
 from backend.edges import Edge
-from frontend.scan import prepare
+from frontend.scan import PreparedScan, prepare
 from frontend.unbend import unbend
 from logs.messages import (
     LaserScan,
@@ -24,6 +24,7 @@ from logs.messages import (
     WheelOdometry,
 )
 from slam.config import SlamConfig
+from slam.forked import with_outcomes
 from slam.localise import ScanLocaliser, refine_edges, warp
 from slam.occupancy import build_map
 from slam.past import Past
@@ -65,6 +66,7 @@ def run_offline(
     progress: Progress | None = None,
     step: Callable[[Slam, Message], None] = Slam.step,
     past: Past | None = None,
+    processes: int = 1,
 ) -> Result:
     """Run SLAM over a source of messages, which is read twice.
 
@@ -75,6 +77,7 @@ def run_offline(
         progress: told the stage and the number of messages or scans done.
         step: how a message is handed to the pipeline; replaced to time it.
         past: a run to go on with; its map becomes part of this one.
+        processes: to place the scans with; more than one only in a process without other threads.
 
     Raises:
         SlamError: the log holds no usable scan, or no odometry, or its place in the past is not
@@ -82,12 +85,28 @@ def run_offline(
     """
     watch, tell = watch or NoWatch(), progress or (lambda stage, done: None)
     slam = Slam(config, watch)
-    truth: list[TruePose] = []
     if past is not None:
         slam.resume(past)
-        truth += past.truth
-    has_odometry = False
-    for count, message in enumerate(_timed(source(), watch)):
+    truth = _track(slam, _timed(source(), watch), tell, step)
+    if past is None:
+        return finish(slam, source, truth, watch, tell, processes)
+    if slam.lost_in_the_past:
+        raise SlamError(
+            "the robot was not found in the map to go on with, or it looks alike elsewhere: "
+            "say where it starts, --start end or --start x,y,theta" + _left_out(slam)
+        )
+    before = [k.scan for k in past.keyframes]
+    truth = [*past.truth, *truth]
+    return finish(slam, lambda: chain(before, source()), truth, watch, tell, processes)
+
+
+def _track(
+    slam: Slam, messages: Iterable[Message], tell: Progress, step: Callable[[Slam, Message], None]
+) -> list[TruePose]:
+    """Hand all messages to the pipeline; returns the true poses among them."""
+    truth: list[TruePose] = []
+    count, has_odometry = 0, False
+    for count, message in enumerate(messages, start=1):
         if not feed(slam, message, step):
             continue
         has_odometry = has_odometry or isinstance(message, WheelOdometry)
@@ -97,17 +116,9 @@ def run_offline(
     slam.finish_input()
     if len(slam.scans) and not has_odometry:
         raise SlamError(
-            f"no usable odometry among {count + 1} messages: record the robot's wheels (/odom) too"
+            f"no usable odometry among {count} messages: record the robot's wheels (/odom) too"
         )
-    if past is None:
-        return finish(slam, source, truth, watch, tell)
-    if slam.lost_in_the_past:
-        raise SlamError(
-            "the robot was not found in the map to go on with, or it looks alike elsewhere: "
-            "say where it starts, --start end or --start x,y,theta" + _left_out(slam)
-        )
-    before = [k.scan for k in past.keyframes]
-    return finish(slam, lambda: chain(before, source()), truth, watch, tell)
+    return truth
 
 
 def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = Slam.step) -> bool:
@@ -120,9 +131,13 @@ def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = S
 
 
 def finish(
-    slam: Slam, source: Source, truth: list[TruePose], watch: NoWatch, tell: Progress
-) -> Result:
-    """Optimise a graph whose input has ended, and make all results from it."""
+    slam: Slam, source: Source, truth: list[TruePose], watch: NoWatch, tell: Progress,
+    processes: int = 1,
+) -> Result:  # fmt: skip
+    """Optimise a graph whose input has ended, and make all results from it.
+
+    More than one of the `processes` is only for a process without other threads.
+    """
     if slam.graph is None:
         seen = len(slam.scans)
         raise SlamError(
@@ -147,7 +162,7 @@ def finish(
     found, matches = bent, 0
     if config.localise.every_scan:
         with watch("localising"):
-            found, matches = _localise(slam, source, poses, bent, watch, tell)
+            found, matches = _localise(slam, source, poses, bent, watch, tell, processes)
     with watch("map"):
         mount = np.array([slam.mount.x, slam.mount.y, slam.mount.theta])
         scans = [k.scan for k in slam.keyframes]
@@ -219,29 +234,39 @@ def _timed(messages: Iterable[Message], watch: NoWatch) -> Iterable[Message]:
 
 def _localise(
     slam: Slam, source: Source, poses: NDArray[np.float64], guesses: NDArray[np.float64],
-    watch: NoWatch, tell: Progress,
+    watch: NoWatch, tell: Progress, processes: int,
 ) -> tuple[NDArray[np.float64], int]:  # fmt: skip
     """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = guesses.copy()
     keyframe_scans = [k.scan_index for k in slam.keyframes]
     after = np.searchsorted(keyframe_scans, np.arange(len(guesses)))  # keyframe at or after it
+
+    def prepared() -> Iterator[tuple[PreparedScan, Pose2]]:
+        for row, scan in enumerate(_scans_again(slam, _timed(source(), watch))):
+            yield prepare(scan, slam.mount, slam.config.scan), Pose2(*guesses[row])
+
+    matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
+    for row, ((scan, guess), first) in enumerate(matched):
+        pose = localiser.locate(scan, guess, int(after[row]) in slam.doubted, first)
+        found[row] = pose.x(), pose.y(), pose.theta()
+        tell("localising", row + 1)
+    return found, localiser.matches
+
+
+def _scans_again(slam: Slam, messages: Iterable[Message]) -> Iterator[LaserScan]:
+    """Yield the scans that the pipeline has used, as it has used them."""
     stamps, row = slam.scans.stamps_ns, 0
-    for message in _timed(source(), watch):
-        if row == len(found):
-            break
+    for message in messages:
+        if row == len(stamps):
+            return
         if not isinstance(message, LaserScan) or flaw(message):
             continue
         if message.stamp_ns != stamps[row]:
             continue
-        if (sweep := slam.scans.sweep(row)) is not None:
-            message = unbend(message, slam.mount, sweep)
-        scan = prepare(message, slam.mount, slam.config.scan)
-        pose = localiser.locate(scan, Pose2(*guesses[row]), int(after[row]) in slam.doubted)
-        found[row] = pose.x(), pose.y(), pose.theta()
+        sweep = slam.scans.sweep(row)
+        yield message if sweep is None else unbend(message, slam.mount, sweep)
         row += 1
-        tell("localising", row)
-    return found, localiser.matches
 
 
 def _estimates(

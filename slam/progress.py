@@ -29,7 +29,8 @@ def stage_progress(log: Path) -> Iterator[Tell]:
         counts = {}
     totals = {"tracking": sum(counts.values()), "localising": counts.get("/scan", 0)}
     columns = TextColumn("{task.description:<12}"), BarColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True) as bars:
+    # No thread that draws by itself: a run may go on in copies of this process.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bars:
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, done: float) -> None:
@@ -37,6 +38,6 @@ def stage_progress(log: Path) -> Iterator[Tell]:
                 return
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=totals.get(stage))
-            bars.update(tasks[stage], completed=done)
+            bars.update(tasks[stage], completed=done, refresh=True)
 
         yield tell

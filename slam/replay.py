@@ -53,6 +53,7 @@ def replay(
     rate: float = 0.0,
     watcher: Watcher | None = None,
     past: Past | None = None,
+    processes: int = 1,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
 
@@ -82,7 +83,7 @@ def replay(
     recording = Recording(log)
     source_sha256 = file_sha256(*recording.files)
     with new_run(out) as partial:
-        result, timing = timed_run(source, config, progress, watcher, past)
+        result, timing = timed_run(source, config, progress, watcher, past, processes)
         identity = {
             "source": log.name, "source_sha256": source_sha256, "version": version(),
             "config_sha256": config.sha256(), "host": platform.node(),
@@ -106,6 +107,7 @@ def timed_run(
     progress: Progress | None,
     watcher: Watcher | None = None,
     past: Past | None = None,
+    processes: int = 1,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
     watch, step, looker = Stopwatch(), TimedStep(), watcher or Nobody()
@@ -120,7 +122,7 @@ def timed_run(
         looker.show(slam, message)
 
     wall, cpu = time.perf_counter(), time.process_time()
-    result = run_offline(source, config, watch, told, shown, past)
+    result = run_offline(source, config, watch, told, shown, past, processes)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     looker.finish(result)
     stamps = result.trajectory.stamps_ns

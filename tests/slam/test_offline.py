@@ -52,6 +52,13 @@ def test_every_scan_has_a_pose_an_odometry_and_a_covariance(office):
     assert result.lost == {}
 
 
+def test_two_processes_find_the_scans_where_one_does(office):
+    messages, alone = office
+    together = run_offline(lambda: messages, CONFIG, processes=2)
+    assert together.trajectory.poses.tobytes() == alone.trajectory.poses.tobytes()
+    assert together.matches == alone.matches
+
+
 def test_keyframes_are_scans_of_the_trajectory(office):
     _, result = office
     assert set(result.keyframes.stamps_ns) <= set(result.trajectory.stamps_ns)
