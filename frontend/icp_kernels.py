@@ -90,9 +90,10 @@ def nearest_from(px, py, centre, points, first, n, geometries, reach2, ref, gate
         inner = min(min(centre, n - 1 - centre), min(last, farthest))
         at = first + centre
         while k <= inner and (k <= UNASKED or r2 * reach2[row, k] <= best2):
-            dx, dy = points[at + k, 0] - px, points[at + k, 1] - py
+            ahead, behind = np.uintp(at + k), np.uintp(at - k)  # signed ones may count back
+            dx, dy = points[ahead, 0] - px, points[ahead, 1] - py
             d2 = dx * dx + dy * dy
-            dx, dy = points[at - k, 0] - px, points[at - k, 1] - py
+            dx, dy = points[behind, 0] - px, points[behind, 1] - py
             e2 = dx * dx + dy * dy
             best = centre + k if d2 < best2 else best
             best2 = d2 if d2 < best2 else best2

@@ -40,8 +40,8 @@ def read_scan(
     windows (n, 2), flags (n,), geometries (1, 5), centre (2,), starts (2,) and how many are valid.
     """
     n = len(ranges)
-    points, lines = np.empty((n, 2)), np.zeros((n, 5))
-    windows, flags = np.empty((n, 2), dtype=np.int32), np.zeros(n, dtype=np.uint8)
+    points, lines = np.empty((n, 2)), np.empty((n, 5))
+    windows, flags = np.empty((n, 2), dtype=np.int32), np.empty(n, dtype=np.uint8)
     geometries, centre = np.empty((1, 5)), np.empty(2)
     geometry = geometries[0]
     geometry[0], geometry[1] = angle_min, step
@@ -75,6 +75,7 @@ def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
         else:
             points[i, 0] = np.nan
             points[i, 1] = np.nan
+            flags[i] = 0
         c, s = c * dc - s * ds, s * dc + c * ds
     centre[0] = sum_x / near if near else ox
     centre[1] = sum_y / near if near else oy
@@ -84,12 +85,13 @@ def place_points(ranges, geometry, nearest, farthest, points, flags, centre):
 @inlined
 def _fit(sums, i, j):
     """Centroid of points i..j and their scatter about it: mx, my, xx, yy, xy."""
-    share = SHARES[j - i + 1]
-    x, y = sums[j + 1, 0] - sums[i, 0], sums[j + 1, 1] - sums[i, 1]
+    share = SHARES[np.uintp(j - i + 1)]  # unsigned: signed indices are asked if they count back
+    a, b = np.uintp(i), np.uintp(j + 1)
+    x, y = sums[b, 0] - sums[a, 0], sums[b, 1] - sums[a, 1]
     mx, my = x * share, y * share
-    xx = (sums[j + 1, 2] - sums[i, 2]) - x * mx
-    yy = (sums[j + 1, 3] - sums[i, 3]) - y * my
-    xy = (sums[j + 1, 4] - sums[i, 4]) - x * my
+    xx = (sums[b, 2] - sums[a, 2]) - x * mx
+    yy = (sums[b, 3] - sums[a, 3]) - y * my
+    xy = (sums[b, 4] - sums[a, 4]) - x * my
     return mx, my, xx, yy, xy
 
 
@@ -166,10 +168,12 @@ def _find_windows(sums, flags, first, last, limit, windows):
 
 @part
 def _fit_windows(sums, windows, geometry, noise, sigma_max, lines, flags):
-    """Fill the lines (n, 5) of the windows, and flag the beams that have one."""
+    """Fill the lines (n, 5) of the windows, 0 where there is none, and flag the beams with one."""
     ox, oy = geometry[2], geometry[3]
     for i in range(len(windows)):
         a, b = np.int64(windows[i, 0]), np.int64(windows[i, 1])
+        for k in range(5):
+            lines[i, k] = 0.0
         if b - a < 2:
             continue
         mx, my, xx, yy, xy = _fit(sums, a, b)
@@ -203,7 +207,7 @@ def _straight(sums, a, b, variance):
     # went into the line.
     middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     root2 = half * half + xy * xy
-    surplus = middle - variance * ALLOWED[b - a - 1]
+    surplus = middle - variance * ALLOWED[np.uintp(b - a - 1)]
     if surplus > 0.0 and surplus * surplus > root2:
         return False
     third = (b - a + 1) // 3
@@ -219,7 +223,8 @@ def _straight(sums, a, b, variance):
     off = nx * mx + ny * my
     for k in range(3):
         i = a + k * third if k < 2 else b + 1 - third
-        x, y = sums[i + third, 0] - sums[i, 0], sums[i + third, 1] - sums[i, 1]
+        begin, end = np.uintp(i), np.uintp(i + third)
+        x, y = sums[end, 0] - sums[begin, 0], sums[end, 1] - sums[begin, 1]
         apart = nx * x + ny * y - third * off
         if apart * apart > allowed:
             return False
