@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 from logs.messages import LaserMount, Message, WheelOdometry
 from slam.config import SlamConfig
+from slam.forked import usable_cores
 from slam.offline import run_offline
 from slam.onboard.compile_beside import compile_matcher, compiled, compiling_beside
 from slam.onboard.imaginary_room import measure_room
@@ -19,7 +18,7 @@ def warm_up(config: SlamConfig) -> None:
 
     The room is driven to and fro once; a leap of the odometry calls for the search.
     """
-    if len(os.sched_getaffinity(0)) > 1 and not compiled():
+    if usable_cores() > 1 and not compiled():
         with compiling_beside():
             compile_matcher()
     again = {"min_path_m": 1.0, "every_m": 0.3, "enabled": config.loops.enabled}
