@@ -217,7 +217,7 @@ def _align(
     if last_step > SETTLED * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
     elif explained < config.min_explained:
-        reason = f"only {100 * explained:.0f} % of the beams fit"
+        reason = f"only {100 * explained:.0f} % of the pairs fit"
     return MatchResult(
         Pose2(x, y, theta), information, covariance, pairs, explained, paired / tried,
         fitting / tried, math.sqrt(cost / weight), axis if weakness > 1.0 else None, weakness,

@@ -78,10 +78,18 @@ def replay(
     view_port: PortOption = PORT,
     view_token: TokenOption = "",
     foxglove: FoxgloveOption = False,
+    processes: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="To place the scans with at the end; 0: one a core, at most 4. The result "
+            "is the same; with --view or --foxglove it is always 1.",
+        ),
+    ] = 0,
 ) -> None:
     """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.config import load_config
-    from slam.forked import usable_cores
+    from slam.forked import worthwhile
     from slam.live.viewers import ViewOptions, watched
     from slam.progress import stage_progress
     from slam.replay import replay as run_replay
@@ -92,7 +100,9 @@ def replay(
     settings = load_config(config, set_ or [])
     past = read_past(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
-    processes = 1 if view or foxglove else usable_cores()  # who is watched has threads
+    processes = processes or worthwhile()
+    if view or foxglove:
+        processes = 1  # threads serve the page: such a process must not be copied
     with watched(options, say) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
         summary = run_replay(log, out, settings, progress, raw, rate, viewers, past, processes)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from slam.config import load_config
 from slam.errors import RunError
-from slam.forked import usable_cores
+from slam.forked import worthwhile
 from slam.imports import import_log
 from slam.replay import replay
 from slam.reports.report import write_report
@@ -34,7 +34,7 @@ def run_real_demo(out: Path, say: Callable[[str], None]) -> None:
         log, run = partial / "killian.mcap", partial / "killian"
         imported = import_log(graph, log)
         say(f"mapping {imported.scans} scans of the Killian Court; this takes a minute or two")
-        summary = replay(log, run, load_config(None), processes=usable_cores())
+        summary = replay(log, run, load_config(None), processes=worthwhile())
         reports = write_report([run], None, partial / "report.html")
     figures, loops = reports[0].figures, summary["loops"]
     Console(soft_wrap=True).print(

@@ -11,6 +11,7 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -18,11 +19,18 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 _STRIPE = 32  # items in a row that one process works on
+_MOST = 4  # processes: each reads all items, so that more and more of the work is done twice
+_ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
 def usable_cores() -> int:
     """How many cores this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def worthwhile() -> int:
+    """How many processes are worth their while here."""
+    return min(usable_cores(), _MOST)
 
 
 def with_outcomes(
@@ -38,8 +46,10 @@ def with_outcomes(
     Raises:
         Exception: what `work` or the items raised.
     """
-    copies = [_Copy(items, work, k, processes) for k in range(1, processes)]
+    copies: list[_Copy[Item, Outcome]] = []
     try:
+        for turn in range(1, processes):
+            copies.append(_Copy(items, work, turn, processes, [c.receiver for c in copies]))
         for number, item in enumerate(items()):
             owner = number // _STRIPE % processes
             yield item, (copies[owner - 1].outcome(item) if owner else work(item))
@@ -53,49 +63,60 @@ class _Copy(Generic[Item, Outcome]):
 
     def __init__(
         self, items: Callable[[], Iterable[Item]], work: Callable[[Item], Outcome], turn: int,
-        processes: int,
+        processes: int, others: list[Connection],
     ) -> None:  # fmt: skip
         context = multiprocessing.get_context("fork")
         self._work = work
         self._made: deque[Outcome] = deque()
-        self._receiver, sender = context.Pipe(duplex=False)
+        self.receiver, sender = context.Pipe(duplex=False)
+        share = _share(items, turn, processes)
+        receivers = [*others, self.receiver]
         self._process = context.Process(
-            target=_work_on, args=(items, work, turn, processes, sender), daemon=True
+            target=_work_on, args=(share, work, sender, receivers), daemon=True
         )
-        self._process.start()
+        # A signal between the fork and the note of it would leave a copy that nobody knows of.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         sender.close()
 
     def outcome(self, item: Item) -> Outcome:
         """The next outcome; the work is done here if the copy has come to an end."""
         if not self._made:
             try:
-                self._made.extend(self._receiver.recv())
+                self._made.extend(self.receiver.recv())
             except (EOFError, OSError):
                 return self._work(item)
         return self._made.popleft()
 
     def end(self) -> None:
         """Let the copy go, whether it is done or not."""
-        self._receiver.close()
-        self._process.terminate()
+        self.receiver.close()
+        self._process.kill()  # it owns nothing that would have to be put away
         self._process.join()
 
 
+def _share(items: Callable[[], Iterable[Item]], turn: int, processes: int) -> Iterator[Item]:
+    """Yield the items of one copy."""
+    for number, item in enumerate(items()):
+        if number // _STRIPE % processes == turn:
+            yield item
+
+
 def _work_on(
-    items: Callable[[], Iterable[Any]], work: Callable[[Any], Any], turn: int, processes: int,
-    sender: Connection,
+    share: Iterator[Item], work: Callable[[Item], Any], sender: Connection,
+    receivers: list[Connection],
 ) -> None:  # fmt: skip
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that was copied ends this one
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    made: list[Any] = []
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+    for receiver in receivers:  # or this copy would wait for itself when the other end is gone
+        receiver.close()
     try:
-        for number, item in enumerate(items()):
-            if number // _STRIPE % processes != turn:
-                continue
-            made.append(work(item))
-            if len(made) == _STRIPE:
-                sender.send(made)
-                made = []
-        sender.send(made)
+        while made := [work(item) for item in islice(share, _STRIPE)]:
+            sender.send(made)
     except Exception:
         return  # the process that was copied does the same, and tells what is wrong

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from logs.errors import LogError
 from logs.importers.detect import read_any
 from logs.mcap_log import LogWriter
 from logs.messages import LaserScan
@@ -27,8 +29,10 @@ def import_log(file: Path, out: Path) -> ImportReport:
     """Read a foreign log of any supported kind and write it as MCAP.
 
     Raises:
-        LogError: it cannot be read, or the log cannot be written.
+        LogError: it cannot be read, or the log cannot be written or would replace it.
     """
+    if out.exists() and os.path.samefile(file, out):
+        raise LogError(f"{out}: is the log to be imported itself: name another file to write")
     imported = read_any(file)
     identity = {"source": file.name, "imported_from": imported.kind}
     with LogWriter(out, identity, keep_partial=False) as log:

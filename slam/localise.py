@@ -37,10 +37,18 @@ class LocaliseConfig(BaseModel):
     sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
     min_explained: float = Field(0.6, ge=0, le=1, description="share of pairs that must fit")
     min_quality: float = Field(
-        0.3, ge=0, le=1, description="share of beams that must fit, or the guess is kept"
+        0.3,
+        ge=0,
+        le=1,
+        description="share of beams that must fit, or other starts are tried, and "
+        "the guess is kept in the end",
     )
     good_quality: float = Field(
-        0.7, ge=0, le=1, description="share of beams that fit beyond which no other start is tried"
+        0.7,
+        ge=0,
+        le=1,
+        description="the same where the odometry was found out to lie: only beyond "
+        "this no other start is tried",
     )
 
 
@@ -54,8 +62,8 @@ def refine_edges(
 ) -> list[Edge]:
     """One more match of each keyframe against its neighbours in space, whatever their age.
 
-    Each match is joint, against the nearest keyframes held where the graph has them, and gives
-    one edge to the nearest of those that the tracking did not already use.
+    Each match is joint, against the keyframes that look at the nearest, held where the graph has
+    them, and gives one edge to the nearest of those.
     """
     poses = graph.poses
     centres = view_centres(keyframes, poses)
@@ -64,12 +72,11 @@ def refine_edges(
     for keyframe in keyframes:
         k = keyframe.index
         near = tree.query(
-            poses[k, :2],
-            k=min(4 * config.refine_neighbours, len(poses)),
+            centres[k],
+            k=min(config.refine_neighbours + 1, len(poses)),  # and itself
             distance_upper_bound=config.radius_m,
         )[1]
         chosen = [int(n) for n in np.atleast_1d(near) if n < len(poses) and n != k]
-        chosen = chosen[: config.refine_neighbours]
         if not chosen:
             continue
         anchor = chosen[0]
@@ -186,7 +193,7 @@ class ScanLocaliser:
     def match_from(self, scan: PreparedScan, guess: Pose2) -> Matched:
         """The pose matched from one start and its quality, 0 where it is refused.
 
-        It changes nothing here, so that any thread may call it.
+        It changes nothing here, so that a copy of this process may call it as well.
         """
         count = min(self._config.neighbours, len(self._poses))
         view = (*guess.transformFrom(scan.centre), guess.x(), guess.y())

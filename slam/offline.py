@@ -28,13 +28,13 @@ from slam.forked import with_outcomes
 from slam.localise import ScanLocaliser, refine_edges, warp
 from slam.occupancy import build_map
 from slam.past import Past
-from slam.pipeline import Slam
+from slam.pipeline import BACKWARDS, Slam
 from slam.stopwatch import NoWatch
 from slam.trajectory import Trajectory, compose
 from slam.usable import flaw
 
 Source = Callable[[], Iterable[Message]]
-Progress = Callable[[str, float], None]  # stage, share done
+Progress = Callable[[str, float], None]  # stage, messages or scans done
 READMITTED = "accepted: refused along the way, but the whole graph agrees"
 
 
@@ -90,6 +90,8 @@ def run_offline(
     truth = _track(slam, _timed(source(), watch), tell, step)
     if past is None:
         return finish(slam, source, truth, watch, tell, processes)
+    if slam.lost_in_the_past and len(slam.scans) == len(past.keyframes) and slam.lost[BACKWARDS]:
+        raise SlamError("the log is older than the run to go on with: name one recorded after it")
     if slam.lost_in_the_past:
         raise SlamError(
             "the robot was not found in the map to go on with, or it looks alike elsewhere: "
@@ -273,7 +275,7 @@ def _estimates(
     slam: Slam, stamps: NDArray[np.int64], poses: NDArray[np.float64],
     covariances: NDArray[np.float64],
 ) -> list[PoseEstimate]:  # fmt: skip
-    """Every scan's pose; its uncertainty is that of the keyframe before, plus the match's own."""
+    """Every scan's pose; its uncertainty is that of the keyframe before, plus a match's floor."""
     lost = {estimate.stamp_ns for estimate in slam.estimates if estimate.lost}
     floor = np.diag([slam.config.graph.match_sigma_trans] * 2 + [slam.config.graph.match_sigma_rot])
     flat = (covariances + floor**2).reshape(len(stamps), 9)

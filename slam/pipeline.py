@@ -43,6 +43,7 @@ from slam.tracking import Tracked
 MOST_BETWEEN = 64  # scans kept between two keyframes
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
+BACKWARDS = "scan with a stamp that runs backwards"
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
 
 
@@ -157,7 +158,7 @@ class Slam:
         """Use one scan whose odometry is known."""
         scan, odom_T_base = paired.scan, paired.odom_T_base
         if len(self.scans) and scan.stamp_ns <= self.scans.last_ns:
-            self.lost["scan with a stamp that runs backwards"] += 1
+            self.lost[BACKWARDS] += 1
             return
         if not np.isfinite(scan.ranges).any():
             self.noted["scan without any return"] += 1

@@ -33,6 +33,7 @@ class _Job:
     name: str
     folder: Path  # of the public logs
     scratch: Path
+    processes: int  # for one replay, 0: as many as are worthwhile
 
 
 def bench_benchmark(
@@ -57,7 +58,8 @@ def bench_benchmark(
     warm_up(SlamConfig())
     say(f"importing and replaying {', '.join(names)}")
     with tempfile.TemporaryDirectory() as scratch:
-        jobs = [_Job(name, folder.absolute(), Path(scratch)) for name in names]
+        several = 1 if workers else 0  # the workers keep the cores busy
+        jobs = [_Job(name, folder.absolute(), Path(scratch), several) for name in names]
         rows = spread(_row, jobs, workers)
     for row in rows:
         stages = sorted(row["stages_s"].items(), key=lambda stage: -stage[1])
@@ -77,6 +79,7 @@ def _row(job: _Job) -> dict[str, Any]:
     log, run = job.scratch / f"{name}.mcap", job.scratch / name
     import_log(folder / f"{name}.clf.gz", log)
     command = [sys.executable, "-m", "slam", "replay", str(log), "--out", str(run)]
+    command += ["--processes", str(job.processes)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 3):
         raise RunError(f"{name}: replay failed: {done.stderr.strip().splitlines()[-1]}")

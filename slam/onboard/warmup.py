@@ -21,9 +21,18 @@ def warm_up(config: SlamConfig) -> None:
     if usable_cores() > 1 and not compiled():
         with compiling_beside():
             compile_matcher()
-    again = {"min_path_m": 1.0, "every_m": 0.3, "enabled": config.loops.enabled}
-    loops = config.loops.model_copy(update=again)
-    run_offline(lambda: _drive(), config.model_copy(update={"loops": loops}))
+    run_offline(lambda: _drive(), _in_the_room(config))
+
+
+def _in_the_room(config: SlamConfig) -> SlamConfig:
+    """The methods of the settings alone: with the limits, the room might be of no use."""
+    shipped = SlamConfig()
+    loops = shipped.loops.model_copy(update={"min_path_m": 1.0, "every_m": 0.3})
+    methods = {
+        name: getattr(shipped, name).model_copy(update={"method": getattr(config, name).method})
+        for name in ("matcher", "keyframes")
+    }
+    return shipped.model_copy(update={"loops": loops, **methods})
 
 
 def _drive() -> list[Message]:

@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 
 from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
+from logs.errors import LogError
 from logs.mcap_log import LogWriter, open_log
 from logs.messages import LaserScan, OccupancyMap, RawBytes, TruePose, WheelOdometry
 from slam.config import load_config
@@ -163,3 +164,11 @@ def test_the_map_of_a_run_is_in_its_tables_nowhere(run, tmp_path):
     names = {path.name for path in (tmp_path / "tables").iterdir()}
     assert {"scan.csv", "factor.csv", "keyframe.csv", "pose.csv"} <= names
     assert "map.csv" not in names
+
+
+def test_a_log_is_not_imported_over_itself(drive, tmp_path):
+    export(write(tmp_path / "drive.mcap", drive), Targets(carmen=tmp_path / "drive.log"))
+    before = (tmp_path / "drive.log").read_bytes()
+    with pytest.raises(LogError, match="name another file"):
+        import_log(tmp_path / "drive.log", tmp_path / "drive.log")
+    assert (tmp_path / "drive.log").read_bytes() == before

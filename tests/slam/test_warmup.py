@@ -11,8 +11,10 @@ from numba import typeof
 
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount
+from slam.config import load_config
 from slam.onboard.compile_beside import blank_scan, compiling_beside
 from slam.onboard.imaginary_room import measure_room
+from slam.onboard.warmup import warm_up
 
 
 def test_a_blank_scan_has_arrays_of_the_kinds_that_real_ones_have():
@@ -49,13 +51,25 @@ def _stop_once_there(path):
     raise KeyboardInterrupt
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [["scan.max_range=2.0"], ["matcher.min_pairs=200"], ["keyframes.method=information"],
+     ["matcher.method=ndt", "loops.enabled=false"]],
+)  # fmt: skip
+def test_no_setting_is_in_the_way_of_compiling(settings):
+    warm_up(load_config(None, settings))
+
+
 @pytest.mark.slow
 def test_no_kernel_is_compiled_for_two_kinds_of_arrays(tmp_path):
-    program = "from slam.config import SlamConfig; from slam.onboard.warmup import warm_up; "
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run(
-        [sys.executable, "-c", program + "warm_up(SlamConfig())"], env=environment, check=True
+    # On one core, in one process: two may both compile the same kernel and number it anew.
+    program = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        "from slam.config import SlamConfig; from slam.onboard.warmup import warm_up\n"
+        "warm_up(SlamConfig())"
     )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True)
     compiled = [path.name for path in tmp_path.rglob("*.nbc")]
     assert any(".align-" in name for name in compiled)
     assert not [name for name in compiled if not name.endswith(".1.nbc")]
