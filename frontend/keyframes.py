@@ -69,7 +69,7 @@ class KeyframeConfig(BaseModel):
     widest: float = Field(
         1.0, gt=0, description="rad, the widest foreseen turn, where loops are closed"
     )
-    widest_open: float = Field(0.6, gt=0, description="rad, the same where no loops are closed")
+    widest_open: float = Field(0.8, gt=0, description="rad, the same where no loops are closed")
     max_time: float = Field(
         10.0, gt=0, description="s, the longest wait while the robot moves at all"
     )
