@@ -111,7 +111,7 @@ def test_whoever_has_moved_beyond_a_limit_becomes_a_keyframe(x, y, theta, second
     [
         ({"min_interval": 2.0, "max_interval": 1.0}, "min_interval must not exceed"),
         ({"t_low": 3.0, "t_high": 3.0}, "t_low must be below t_high"),
-        ({"narrowest": 0.7}, "narrowest must be below widest"),
+        ({"narrowest": 0.9}, "narrowest must be below widest"),
     ],
 )
 def test_limits_must_be_in_order(settings, message):
