@@ -25,12 +25,15 @@ _ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 def usable_cores() -> int:
     """How many cores this process may use."""
-    return len(os.sched_getaffinity(0))
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def worthwhile() -> int:
-    """How many processes are worth their while here."""
-    return min(usable_cores(), _MOST)
+    """How many processes are worth their while here: one where a process cannot be copied."""
+    copies = "fork" in multiprocessing.get_all_start_methods()
+    return min(usable_cores(), _MOST) if copies else 1
 
 
 def with_outcomes(
