@@ -18,10 +18,10 @@ import numpy as np
 from frontend.matching import Prior, Reference, match
 from logs.messages import Message
 from logs.parts import Recording
+from slam.compiling.beside import compiled
+from slam.compiling.warmup import warm_up
 from slam.config import SlamConfig
 from slam.offline import Progress, Result, run_offline
-from slam.onboard.compile_beside import compiled
-from slam.onboard.warmup import warm_up
 from slam.pacing import paced
 from slam.past import Past
 from slam.pipeline import Slam
@@ -65,7 +65,8 @@ def replay(
     With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
     of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
     the results are the same, and so they are with a `watcher`.  With a `past`, its map is gone on
-    with and becomes part of the new run.
+    with and becomes part of the new run.  Several `processes` place the scans in the end, if this
+    process has no other threads.
 
     Raises:
         LogError: the log cannot be read.
@@ -87,7 +88,8 @@ def replay(
     source_sha256 = file_sha256(*recording.files)
     with new_run(out) as partial:
         if not compiled():
-            (progress or _untold)("compiling", 0)
+            if progress is not None:
+                progress("compiling", 0)
             warm_up(config)
         result, timing = timed_run(source, config, progress, watcher, past, processes)
         identity = {
@@ -111,10 +113,6 @@ def _cpu_s() -> float:
     """Processor time of this process and its copies that have ended."""
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system
-
-
-def _untold(stage: str, done: float) -> None:
-    """Who shows no progress."""
 
 
 def timed_run(

@@ -19,10 +19,10 @@ from backend.edges import GraphError
 from logs.errors import LogError
 from slam.batches.engine import BatchError
 from slam.batches.sources import local_copy
+from slam.compiling.warmup import warm_up
 from slam.config import SlamConfig
 from slam.errors import ReportError
 from slam.offline import SlamError
-from slam.onboard.warmup import warm_up
 from slam.replay import file_sha256, replay
 from slam.reports.report import evaluate
 from slam.run_directory import version

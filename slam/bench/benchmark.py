@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slam.compiling.warmup import warm_up
 from slam.config import SlamConfig
 from slam.errors import RunError
 from slam.imports import import_log
-from slam.onboard.warmup import warm_up
 from slam.reports.report import evaluate
 from slam.spread import spread
 

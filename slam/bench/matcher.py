@@ -190,7 +190,7 @@ def _row(name: str, record: _Record, pairs: list[Pair], source: str) -> dict[str
 def _show(rows: list[dict[str, Any]], honest: list[dict[str, Any]], begin: dict[str, Any]) -> None:
     console = Console()
     if not console.is_terminal:
-        console = Console(width=120)  # a file has no edge to wrap at
+        console = Console(width=150)  # a file has no edge to wrap at
     table = Table(title="Matchers: same pairs, same run, one thread")
     heads = "pairs beams matcher us p99 built x warm x whole mm deg basin 0.3m+15deg".split()
     for head in heads:

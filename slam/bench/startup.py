@@ -28,7 +28,7 @@ for method in ("point_to_line", "point_to_point", "ndt", "psm"):
 """
 PIPELINE = """
 from slam.config import SlamConfig
-from slam.onboard.warmup import warm_up
+from slam.compiling.warmup import warm_up
 warm_up(SlamConfig())
 """
 

@@ -18,6 +18,7 @@ from logs.messages import Message
 from logs.parts import Recording
 from logs.recorder import Recorder
 from logs.recording import RecordingStatus
+from slam.compiling.warmup import warm_up
 from slam.errors import RunError
 from slam.offline import Result, SlamError, finish
 from slam.onboard.live import LiveRun
@@ -25,7 +26,6 @@ from slam.onboard.robot_config import RobotConfig
 from slam.onboard.run import RECORDING, add_results, finish_folder, log_name, online_run
 from slam.onboard.status import Status
 from slam.onboard.undisturbed import give_way, undisturbed
-from slam.onboard.warmup import warm_up
 from slam.pipeline import Slam
 from slam.replay import SLAM_TOPICS, summarise, time_matches
 from slam.run_directory import version

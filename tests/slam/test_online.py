@@ -22,6 +22,7 @@ from drivers.simulators.sweep import Sweeper
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import open_log
 from logs.messages import DeviceHealth, LaserScan, LogLine, RawBytes, WheelOdometry
+from slam.compiling.warmup import warm_up
 from slam.config import load_config
 from slam.errors import RunError
 from slam.offline import SlamError
@@ -33,7 +34,6 @@ from slam.onboard.robot_config import (
     RobotConfig,
     RobotPort,
 )
-from slam.onboard.warmup import warm_up
 from slam.replay import replay
 from slam.toml_text import toml_text
 

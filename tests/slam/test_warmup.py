@@ -11,10 +11,10 @@ from numba import typeof
 
 from frontend.scan import ScanConfig, prepare
 from logs.messages import LaserMount
+from slam.compiling.beside import blank_scan, compiling_beside
+from slam.compiling.imaginary_room import measure_room
+from slam.compiling.warmup import warm_up
 from slam.config import load_config
-from slam.onboard.compile_beside import blank_scan, compiling_beside
-from slam.onboard.imaginary_room import measure_room
-from slam.onboard.warmup import warm_up
 
 
 def test_a_blank_scan_has_arrays_of_the_kinds_that_real_ones_have():
@@ -65,7 +65,7 @@ def test_no_kernel_is_compiled_for_two_kinds_of_arrays(tmp_path):
     # On one core, in one process: two may both compile the same kernel and number it anew.
     program = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        "from slam.config import SlamConfig; from slam.onboard.warmup import warm_up\n"
+        "from slam.config import SlamConfig; from slam.compiling.warmup import warm_up\n"
         "warm_up(SlamConfig())"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from logs.messages import LaserMount, Message, WheelOdometry
+from slam.compiling.beside import compile_matcher, compiled, compiling_beside
+from slam.compiling.imaginary_room import measure_room
 from slam.config import SlamConfig
 from slam.forked import usable_cores
 from slam.offline import run_offline
-from slam.onboard.compile_beside import compile_matcher, compiled, compiling_beside
-from slam.onboard.imaginary_room import measure_room
 
 _STEP_S, _STEP_M = 0.1, 0.1
 _SCANS = 40

@@ -23,8 +23,8 @@ from frontend.matching import MatchConfig, Reference, match
 from frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
 from frontend.scatter_kernels import scatter
 from logs.messages import LaserMount
+from slam.compiling.imaginary_room import measure_room
 from slam.occupancy import build_map
-from slam.onboard.imaginary_room import measure_room
 
 _PATIENCE_S = 120.0
 
