@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -72,6 +72,16 @@ class FactorMaker:
         self._weights: dict[Edge, Matrix] = {}
         self._gaussians: dict[Edge, gtsam.noiseModel.Gaussian] = {}
         self._factors: dict[tuple[Edge, bool], gtsam.BetweenFactorPose2] = {}
+
+    def renamed(self, edges: Iterable[tuple[Edge, Edge]]) -> FactorMaker:
+        """A maker that knows edges under new names, the second of each pair, as this one does."""
+        other = FactorMaker(self.config)
+        for old, new in edges:
+            if old in self._weights:
+                other._weights[new] = self._weights[old]
+            if old in self._gaussians:
+                other._gaussians[new] = self._gaussians[old]
+        return other
 
     def anchor(self, map_T_first: Pose2) -> gtsam.PriorFactorPose2:
         """The prior that holds keyframe 0."""

@@ -50,6 +50,15 @@ class Edge:
         if np.linalg.eigvalsh(self.information)[0] < -1e-9 * scale:
             raise GraphError(f"{name}: information has a negative eigenvalue")
 
+    def renamed(self, i: int, j: int) -> Edge:
+        """The same measurement under other indices; it was checked before."""
+        other = object.__new__(Edge)
+        for name, value in zip(
+            self.__slots__, (self.kind, i, j, self.i_T_j, self.information), strict=True
+        ):
+            object.__setattr__(other, name, value)
+        return other
+
     def residual(self, poses: Matrix) -> Matrix:
         """(3,) error of the measurement at poses (n, 3) of [x, y, theta]."""
         at_i, at_j = Pose2(*poses[self.i]), Pose2(*poses[self.j])

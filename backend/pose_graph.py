@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import X
 
 from backend.batch import FactorMaker, GraphConfig, optimise, values_of
 from backend.edges import Edge, GraphError, Matrix, relative_covariance
+from backend.thinning import Thinned, thinned
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 
@@ -31,13 +32,17 @@ class PoseGraph:
         self._count = 1
 
     @classmethod
-    def restored(cls, poses: Matrix, edges: Sequence[Edge], config: GraphConfig) -> PoseGraph:
-        """The graph of a finished run, at its poses (n, 3).
+    def restored(
+        cls, poses: Matrix, edges: Sequence[Edge], config: GraphConfig,
+        maker: FactorMaker | None = None,
+    ) -> PoseGraph:  # fmt: skip
+        """The graph of a finished run, at its poses (n, 3); `maker` may know its edges already.
 
         Raises:
             GraphError: an edge names a keyframe that does not exist.
         """
         graph = cls(Pose2(*poses[0]), config)
+        graph._maker = maker or graph._maker
         values = gtsam.Values()
         for k in range(1, len(poses)):
             values.insert(X(k), Pose2(*poses[k]))
@@ -110,6 +115,13 @@ class PoseGraph:
     def add_edges_batch(self, edges: Sequence[Edge]) -> None:
         """Add edges that only the next batch optimisation shall see; ISAM2 stays as it is."""
         self.edges += edges
+
+    def without(self, gone: Sequence[int]) -> tuple[PoseGraph, Thinned]:
+        """A new graph that lacks the keyframes `gone`, and what became of their edges."""
+        left = thinned(self.edges, self.poses, gone, self.weight)
+        maker = self._maker.renamed(zip(left.untouched, left.edges, strict=False))
+        poses = self.poses[left.index.stays]
+        return PoseGraph.restored(poses, left.edges, self.config, maker), left
 
     def drop(self, edge: Edge) -> None:
         """Leave an edge out of all further batch optimisation.

@@ -23,6 +23,9 @@ def simulate(
     ] = 0,
     laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
     noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
+    passes: Annotated[
+        int, typer.Option(min=1, help="Ways through the world, every other one back in reverse.")
+    ] = 1,
 ) -> None:
     """Drive a simulated robot through a world and log what it senses, with the truth."""
     from slam.simulate import simulate_log, world_names
@@ -32,7 +35,7 @@ def simulate(
         return
     if out is None:
         raise typer.BadParameter("say where to write the log: --out FILE.mcap")
-    count = simulate_log(world, out, seed, laser, noise)
+    count = simulate_log(world, out, seed, laser, noise, passes)
     say(f"{out}: {count} messages")
 
 

@@ -20,6 +20,7 @@ from slam.localise import LocaliseConfig
 from slam.loops import LoopConfig
 from slam.occupancy import MapConfig
 from slam.odometry import OdometryConfig
+from slam.thinning import ThinningConfig
 from slam.tracking import TrackingConfig
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -41,6 +42,7 @@ class SlamConfig(BaseModel):
     tracking: TrackingConfig = TrackingConfig()
     loops: LoopConfig = LoopConfig()
     graph: GraphConfig = GraphConfig()
+    thinning: ThinningConfig = ThinningConfig()
     localise: LocaliseConfig = LocaliseConfig()
     map: MapConfig = MapConfig()
     lost_inflation: float = Field(

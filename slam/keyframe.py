@@ -38,6 +38,7 @@ class Keyframe:
     centre: NDArray[np.float64]  # (2,) m, what the scan looks at, in the base frame
     odom_T_base: Pose2
     travelled_m: float  # by odometry and matches, from the first keyframe
+    number: int  # as it was made; where some were thinned out, the index falls behind
 
     @property
     def prepared(self) -> PreparedScan:

@@ -10,6 +10,7 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from backend.pose_graph import Edge, PoseGraph
+from backend.thinning import Renumbered
 from frontend.matching import Prior, Reference
 from frontend.scan import PreparedScan
 from slam.config import SlamConfig
@@ -43,6 +44,10 @@ class Linker:
     def begin_at(self, keyframe: int) -> None:
         """Match against this keyframe and later ones alone."""
         self._unbroken = keyframe
+
+    def renumber(self, index: Renumbered) -> None:
+        """Keyframes have gone."""
+        self._unbroken = index(self._unbroken)
 
     def track(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, stretch: Stretch,

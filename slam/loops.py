@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
 from backend.pose_graph import Edge, PoseGraph
+from backend.thinning import Renumbered
 from frontend.loop_search import Closure, LoopSearchConfig
 from frontend.matching import MatchConfig
 from frontend.scan import PreparedScan
@@ -20,6 +22,7 @@ from logs.messages import LoopVerdict
 from slam.chi_square import chi_square_limit
 from slam.keyframe import Keyframe, placed, view_centres
 from slam.loops_beside import Beside, LoopQuestion, LoopSearcher
+from slam.records import pairs_left
 
 
 class LoopConfig(BaseModel):
@@ -88,6 +91,15 @@ class LoopCloser:
         """The graph changed its shape: forget maps of old places, which have moved within."""
         self._searcher.forget()
 
+    def renumber(self, index: Renumbered) -> Counter[str]:
+        """Keyframes have gone, and with them what was on record of them; counts of that."""
+        self._searcher.forget()
+        self._looks_at, self._anchors_m = [], []
+        self.refuted = _left(self.refuted, index)
+        self._pending = _left(self._pending, index)
+        self.verdicts, gone = pairs_left(self.verdicts, index)
+        return Counter("accepted" if verdict.accepted else "rejected" for verdict in gone)
+
     @property
     def searching(self) -> bool:
         """Whether a search is at work just now."""
@@ -146,7 +158,7 @@ class LoopCloser:
         return [k * stride for k in chosen]
 
     def _submap(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: range, origin: int
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: Iterable[int], origin: int
     ) -> list[tuple[Pose2, PreparedScan]]:
         base = graph.pose(origin)
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
@@ -159,7 +171,9 @@ class LoopCloser:
         query = self._submap(keyframes, graph, recent, newest)
         questions = []
         for anchor, known in zip(anchors, graph.relatives(anchors, newest), strict=True):
-            target = range(max(0, anchor - half), min(newest, anchor + half + 1))
+            near = range(max(0, anchor - half), min(newest, anchor + half + 1))
+            middle = keyframes[anchor].number
+            target = [k for k in near if abs(keyframes[k].number - middle) <= half]
             old = self._submap(keyframes, graph, target, anchor)
             questions.append(LoopQuestion(anchor, old, query, *known))
         return questions
@@ -268,3 +282,12 @@ class LoopCloser:
                 chi_square,
             )
         )
+
+
+def _left(candidates: Sequence[Candidate], index: Renumbered) -> list[Candidate]:
+    """Those between keyframes that stay, under their new indices."""
+    return [
+        replace(c, edge=replace(c.edge, i=index(c.edge.i), j=index(c.edge.j)))
+        for c in candidates
+        if index.stays[c.edge.i] and index.stays[c.edge.j]
+    ]

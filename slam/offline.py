@@ -159,12 +159,15 @@ def finish(
     stamps = slam.scans.stamps_ns
     odometry = slam.scans.odom_poses
     keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
-    before = np.searchsorted(keyframe_scans, np.arange(len(stamps)), side="right") - 1
-    bent = warp(odometry, before, keyframe_scans, poses)
+    place_scans, places, owners = slam.places(poses)
+    before = np.searchsorted(place_scans, np.arange(len(stamps)), side="right") - 1
+    bent = warp(odometry, before, place_scans, places)
     found, matches = bent, 0
     if config.localise.every_scan:
         with watch("localising"):
-            found, matches = _localise(slam, source, poses, bent, watch, tell, processes)
+            after = np.searchsorted(place_scans, np.arange(len(stamps)))
+            doubted = np.isin(np.append(place_scans, -1), sorted(slam.doubted))[after]
+            found, matches = _localise(slam, source, poses, bent, doubted, watch, tell, processes)
     with watch("map"):
         mount = np.array([slam.mount.x, slam.mount.y, slam.mount.theta])
         scans = [k.scan for k in slam.keyframes]
@@ -174,7 +177,7 @@ def finish(
         Trajectory(stamps, found),
         Trajectory(stamps, odometry),
         Trajectory(stamps[keyframe_scans], poses),
-        _estimates(slam, stamps, found, marginals[np.maximum(before, 0)]),
+        _estimates(slam, stamps, found, marginals[owners[np.maximum(before, 0)]]),
         graph.edges,
         [graph.weight(edge) for edge in graph.edges],
         grid,
@@ -236,13 +239,14 @@ def _timed(messages: Iterable[Message], watch: NoWatch) -> Iterable[Message]:
 
 def _localise(
     slam: Slam, source: Source, poses: NDArray[np.float64], guesses: NDArray[np.float64],
-    watch: NoWatch, tell: Progress, processes: int,
+    doubted: NDArray[np.bool_], watch: NoWatch, tell: Progress, processes: int,
 ) -> tuple[NDArray[np.float64], int]:  # fmt: skip
-    """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
+    """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made.
+
+    `guesses` (n, 3) is where to look; the odometry that leads to those `doubted` (n,) may lie.
+    """
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = guesses.copy()
-    keyframe_scans = [k.scan_index for k in slam.keyframes]
-    after = np.searchsorted(keyframe_scans, np.arange(len(guesses)))  # keyframe at or after it
 
     def prepared() -> Iterator[tuple[PreparedScan, Pose2]]:
         for row, scan in enumerate(_scans_again(slam, _timed(source(), watch))):
@@ -250,7 +254,7 @@ def _localise(
 
     matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
     for row, ((scan, guess), first) in enumerate(matched):
-        pose = localiser.locate(scan, guess, int(after[row]) in slam.doubted, first)
+        pose = localiser.locate(scan, guess, bool(doubted[row]), first)
         found[row] = pose.x(), pose.y(), pose.theta()
         tell("localising", row + 1)
     return found, localiser.matches

@@ -34,15 +34,23 @@ from slam.linking import Linker
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
 from slam.past import Past, locate
-from slam.records import decision_record, estimate_record, factor_record
+from slam.records import (
+    decision_record,
+    decisions_left,
+    estimate_record,
+    factor_record,
+    pairs_left,
+)
 from slam.scan_track import ScanTrack
 from slam.sightings import HONEST, Paired, ScanPairing, Sighting, Stretch, sight
 from slam.stopwatch import NoWatch
+from slam.thinning import Thinner
 from slam.tracking import Tracked
 
 MOST_BETWEEN = 64  # scans kept between two keyframes
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would hold up the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
+THINNED = "goes round keyframes that were thinned out"
 BACKWARDS = "scan with a stamp that runs backwards"
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
 
@@ -78,7 +86,8 @@ class Slam:
         self.noted: Counter[str] = Counter()  # oddities that cost nothing, per cause
         self.odometry_faults: Counter[str] = Counter()  # lies told by the wheels, and scan gaps
         self.matches = 0
-        self.doubted: set[int] = set()  # keyframes to which the odometry did not lead
+        self.doubted: set[int] = set()  # scans of keyframes to which the odometry did not lead
+        self.thinned_out: Counter[str] = Counter()  # keyframes, and what was on record of them
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
@@ -86,6 +95,7 @@ class Slam:
         self._choice = config.keyframes if config.loops.enabled else config.keyframes.open
         self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._linker = Linker(config)
+        self._thinner = Thinner(config.thinning, config.loops.min_path_m)
         self._pairing = ScanPairing(config.scan.unbend)
         self._interval = Interval(0.0, None)
         self._latest: Sighting | None = None
@@ -103,6 +113,7 @@ class Slam:
         for k in past.keyframes:
             self.scans.append(k.scan.stamp_ns, k.odom_T_base)
         self.factors, self.decisions = list(past.factors), list(past.decisions)
+        self._thinner.begin_at(len(past.keyframes))
         self.graph = PoseGraph.restored(past.poses, past.edges, self.config.graph)
 
     @property
@@ -122,6 +133,12 @@ class Slam:
         else:
             return
         self._drain(wait=True)
+
+    def places(
+        self, poses: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+        """Where keyframes are, and were that are thinned out, as `FormerPlaces.joined` has it."""
+        return self._thinner.places.joined(self.keyframes, poses)
 
     @property
     def waiting_scans(self) -> int:
@@ -259,6 +276,7 @@ class Slam:
             self.noted["keyframe postponed: scan too empty"] += 1
             return
         self._close_loops()
+        self._thin_out()
         assert self.graph is not None
         assert self._kept is not None
         stretch = Stretch(self._kept, sighting, ahead.suspected)
@@ -281,7 +299,7 @@ class Slam:
         assert self.graph is not None
         new, sighting = len(self.keyframes), stretch.last
         if not tracked.odometry_trusted:
-            self.doubted.add(new)
+            self.doubted.add(sighting.index)
         link = self._linker.link(stretch, tracked, new)
         if link.lie:
             self.odometry_faults[link.lie] += 1
@@ -314,6 +332,29 @@ class Slam:
         for closure in closures:
             self.record_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
 
+    def _thin_out(self) -> None:
+        """Go on as though dispensable keyframes had never been, but for where they were."""
+        assert self.graph is not None
+        with self._watch("thinning"):
+            if not self._thinner.due(self.keyframes, self.graph, self.doubted):
+                return
+            self.graph, thinned = self._thinner.thin(self.keyframes, self.graph)
+        index = thinned.index
+        gone = {k.scan.stamp_ns for k in self.keyframes if not index.stays[k.index]}
+        left = [k for k in self.keyframes if index.stays[k.index]]
+        self.keyframes = [replace(k, index=new) for new, k in enumerate(left)]
+        self._linker.renumber(index)
+        self.decisions = decisions_left(self.decisions, index)
+        self.estimates = [e for e in self.estimates if e.lost or e.stamp_ns not in gone]
+        self.factors, factors = pairs_left(self.factors, index)
+        for edge in thinned.made:
+            self.record_edge(self.keyframes[edge.j].scan.stamp_ns, edge, True, THINNED)
+        self.thinned_out += self.loops.renumber(index)
+        self.thinned_out["keyframes"] += len(gone)
+        self.thinned_out["odometry refused"] += sum(
+            f.kind == "odometry" and not f.used for f in factors
+        )
+
     def _keep(self, sighting: Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)
         self.keyframes.append(
@@ -326,6 +367,7 @@ class Slam:
                 prepared.centre,
                 sighting.odom_T_base,
                 travelled,
+                self.keyframes[-1].number + 1 if self.keyframes else 0,
             )
         )
         self._interval = interval_after(self._foreseen_from(), self._choice, self._outlook(0.0))

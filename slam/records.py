@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TypeVar
+
 import numpy as np
 from gtsam import Pose2
 
 from backend.pose_graph import Edge, PoseGraph
+from backend.thinning import Renumbered
 from frontend.keyframes import Interval
-from logs.messages import FactorRecord, KeyframeDecision, LaserScan, PoseEstimate
+from logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict, PoseEstimate
 from slam.tracking import Tracked
+
+Pair = TypeVar("Pair", FactorRecord, LoopVerdict)
 
 
 def decision_record(
@@ -54,3 +61,21 @@ def estimate_record(stamp_ns: int, graph: PoseGraph, k: int, lost: bool) -> Pose
     x, y, theta = (float(v) for v in graph.poses[k])
     covariance = tuple(graph.marginal(k).ravel().tolist())
     return PoseEstimate(stamp_ns, x, y, theta, covariance, lost)
+
+
+def decisions_left(
+    decisions: Iterable[KeyframeDecision], index: Renumbered
+) -> list[KeyframeDecision]:
+    """Those for keyframes that stay, under their new indices."""
+    return [replace(d, index=index(d.index)) for d in decisions if index.stays[d.index]]
+
+
+def pairs_left(pairs: Iterable[Pair], index: Renumbered) -> tuple[list[Pair], list[Pair]]:
+    """Records between keyframes that stay, under their new indices; and the others."""
+    left, gone = [], []
+    for pair in pairs:
+        if index.stays[pair.i] and index.stays[pair.j]:
+            left.append(replace(pair, i=index(pair.i), j=index(pair.j)))
+        else:
+            gone.append(pair)
+    return left, gone

@@ -180,27 +180,31 @@ def summarise(
     """The keys of `summary.json`."""
     slam, stamps = result.slam, result.trajectory.stamps_ns
     verdicts = slam.loops.verdicts
-    accepted = sum(v.accepted for v in verdicts)
+    gone = slam.thinned_out
+    accepted = sum(v.accepted for v in verdicts) + gone["accepted"]
+    candidates = len(verdicts) + gone["accepted"] + gone["rejected"]
     peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log,
         "scans": len(stamps),
         "keyframes": len(slam.keyframes),
+        "thinned_out": gone["keyframes"],
         "matches": slam.matches,
         "scan_matches": result.matches - slam.matches,
         "loops": {
-            "candidates": len(verdicts),
+            "candidates": candidates,
             "accepted": accepted,
-            "rejected": len(verdicts) - accepted,
+            "rejected": candidates - accepted,
         },
-        "distance_m": round(float(path_length(result.keyframes.poses)[-1]), 3),
+        "distance_m": round(float(path_length(slam.places(result.keyframes.poses)[1])[-1]), 3),
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
         "peak_rss_mb": round(peak_kb / 1024, 1),
         "lost": dict(sorted(result.lost.items())),
         "noted": dict(sorted(slam.noted.items())),
         "odometry_faults": dict(sorted(slam.odometry_faults.items())),
-        "odometry_refused": sum(not f.used and f.kind == "odometry" for f in slam.factors),
+        "odometry_refused": gone["odometry refused"]
+        + sum(not f.used and f.kind == "odometry" for f in slam.factors),
         "lost_keyframes": sum(e.lost for e in slam.estimates),
         "version": version(),
         "config_sha256": config.sha256(),

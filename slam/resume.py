@@ -36,7 +36,7 @@ def read_past(directory: Path, config: SlamConfig, start: str = "") -> Past:
     keyframes = [
         Keyframe(
             k, k, scans[stamp], mount, prepare, prepare(scans[stamp], mount).centre,
-            Pose2(*odometry[stamp]), float(travelled[k]),
+            Pose2(*odometry[stamp]), float(travelled[k]), k,
         )
         for k, stamp in enumerate(stamps.tolist())
     ]  # fmt: skip

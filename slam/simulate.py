@@ -18,7 +18,7 @@ def world_names() -> tuple[str, ...]:
     return tuple(SCENARIOS)
 
 
-def simulate_log(world: str, out: Path, seed: int, laser: str, noise: str) -> int:
+def simulate_log(world: str, out: Path, seed: int, laser: str, noise: str, passes: int = 1) -> int:
     """Write the drive through a world, and return the number of messages.
 
     Raises:
@@ -34,8 +34,10 @@ def simulate_log(world: str, out: Path, seed: int, laser: str, noise: str) -> in
             raise RunError(f"no {kind} is named {name!r}{nearest(name, known)}")
     count = 0
     identity = {"world": world, "seed": str(seed), "laser": laser, "noise": noise}
+    identity["passes"] = str(passes)
+    kinds = LASERS[laser], ODOMETRY_NOISE[noise]
     with LogWriter(out, identity, keep_partial=False) as log:
-        for message in simulate(scenario(world, seed), LASERS[laser], ODOMETRY_NOISE[noise], seed):
+        for message in simulate(scenario(world, seed), *kinds, seed, passes=passes):
             log.write(message)
             count += 1
     return count

@@ -19,6 +19,7 @@ from drivers.simulators.robot import (
     Track,
     drive,
     quantised,
+    to_and_fro,
     track_of,
     wheel_increments,
 )
@@ -51,17 +52,20 @@ def simulate(
     odometry_rate_hz: float = ODOMETRY_RATE_HZ,
     odometry_at_scans: bool = True,
     motion: MotionConfig | None = None,
+    passes: int = 1,
 ) -> Iterator[SensorMessage]:
     """Yield what the robot's sensors say while it drives `scenario`, in stamp order.
+
+    With more than one of the `passes` it comes back in reverse, goes there again, and so on.
 
     The mount comes first.  At one stamp odometry precedes the true pose, and that the scan;
     every scan has a true pose, and with `odometry_at_scans` also an odometry of its own
     stamp.  The odom frame starts at the first pose.  Equal arguments give equal bits.
 
     Raises:
-        ValueError: if the robot cannot follow the path.
+        ValueError: if the robot cannot follow the path, or there is no pass.
     """
-    truth = drive(scenario.path, motion)
+    truth = to_and_fro(drive(scenario.path, motion), passes)
     odometry = dead_reckoning(truth, noise, seed, faults)
     scan_times = np.arange(0.0, truth.duration_s, 1.0 / laser.rate_hz)
     scan_times = scan_times[has_scan(scan_times, faults)]

@@ -41,6 +41,8 @@ class FoxgloveServer:
         self.port = port
         self._waiting: deque[Message] = deque(maxlen=_MOST_WAITING)
         self._seen = [0, 0, 0, 0]  # of the pipeline's decisions, factors, verdicts, estimates
+        self._seen_ns = 0  # stamp of the last keyframe whose records were seen
+        self._thinned_out = 0
         self._view = View("starting")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="foxglove", daemon=True)
@@ -88,6 +90,11 @@ class FoxgloveServer:
         kept: tuple[Sequence[Message], ...] = (
             slam.decisions, slam.factors, slam.loops.verdicts, slam.estimates
         )  # fmt: skip
+        if slam.thinned_out["keyframes"] != self._thinned_out:  # records have gone, too
+            self._thinned_out = slam.thinned_out["keyframes"]
+            self._seen = [sum(r.stamp_ns <= self._seen_ns for r in records) for records in kept]
+        if slam.decisions:
+            self._seen_ns = slam.decisions[-1].stamp_ns
         for k, records in enumerate(kept):
             if len(records) > self._seen[k]:
                 self._waiting.extend(records[self._seen[k] :])

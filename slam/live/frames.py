@@ -33,14 +33,18 @@ class Feed:
     def __init__(self) -> None:
         self._poses = np.zeros((0, 3), dtype=np.float32)
         self._verdicts: tuple[LoopVerdict, ...] = ()
+        self._thinned_out = 0
         self._greeted = False
 
     def frames(self, view: View) -> Iterator[str]:
         """Yield what brings the page up to date."""
+        snapshot = view.snapshot
+        if snapshot is not None and snapshot.thinned_out != self._thinned_out:
+            self._poses, self._verdicts = self._poses[:0], ()
+            self._thinned_out, self._greeted = snapshot.thinned_out, False
         if not self._greeted:
             self._greeted = True
             yield _json({"type": "hello"})
-        snapshot = view.snapshot
         if snapshot is not None:
             yield from self._new_keyframes(snapshot)
             yield from self._moved(snapshot)

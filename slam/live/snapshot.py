@@ -20,6 +20,7 @@ class Snapshot:
 
     mount: LaserMount
     keyframes: tuple[Keyframe, ...]
+    thinned_out: int  # keyframes that there were besides; as it grows, the others' indices change
     poses: Poses  # (n, 3) of the keyframes
     decisions: tuple[KeyframeDecision, ...]
     verdicts: tuple[LoopVerdict, ...]
@@ -44,6 +45,7 @@ def take(slam: Slam) -> Snapshot | None:
     return Snapshot(
         mount=slam.mount,
         keyframes=tuple(slam.keyframes),
+        thinned_out=slam.thinned_out["keyframes"],
         poses=slam.graph.poses.copy(),
         decisions=tuple(slam.decisions),
         verdicts=tuple(slam.loops.verdicts),
@@ -66,6 +68,7 @@ def take_result(result: Result) -> Snapshot:
     return Snapshot(
         mount=slam.mount,
         keyframes=tuple(slam.keyframes),
+        thinned_out=slam.thinned_out["keyframes"],
         poses=result.keyframes.poses.copy(),
         decisions=tuple(slam.decisions),
         verdicts=tuple(slam.loops.verdicts),

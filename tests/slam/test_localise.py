@@ -27,7 +27,7 @@ def localiser(world, true_poses, believed=None):
     keyframes = []
     for k, pose in enumerate(true_poses):
         raw, prepared = seen(world, pose, k)
-        keyframes.append(Keyframe(k, k, raw, MOUNT, preparer(SCAN), prepared.centre, pose, 0.0))
+        keyframes.append(Keyframe(k, k, raw, MOUNT, preparer(SCAN), prepared.centre, pose, 0.0, k))
     poses = np.array([(p.x(), p.y(), p.theta()) for p in believed or true_poses])
     return ScanLocaliser(keyframes, poses, LocaliseConfig(), MatchConfig())
 

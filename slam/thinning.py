@@ -1,0 +1,144 @@
+"""Keyframes that nobody would miss: where a robot has come by often enough, the map is full.
+
+Without it a graph grows with the time, with it only with the ground covered (cf. Johannsson et
+al. 2013, "Temporally scalable visual SLAM using a reduced pose graph").
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from backend.pose_graph import PoseGraph
+from backend.thinning import Renumbered, Thinned
+from slam.keyframe import Keyframe, placed
+from slam.trajectory import compose
+
+Matrix = NDArray[np.float64]
+
+
+class ThinningConfig(BaseModel):
+    """Leaving keyframes out of the graph where it knows a place well enough."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    enough: int = Field(
+        8, ge=0, description="older keyframes with the same view that make one dispensable; "
+        "0 keeps all"
+    )  # fmt: skip
+    within_m: float = Field(
+        0.5, gt=0, description="m between two views that count as the same, of the robot and "
+        "what it looks at together"
+    )  # fmt: skip
+    at_once: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
+    share: float = Field(
+        0.1, ge=0, le=1, description="the same as a share of all, where that is more"
+    )
+
+
+class FormerPlaces:
+    """Where keyframes that are gone were, for the scans around them: 40 bytes each."""
+
+    def __init__(self) -> None:
+        self._scans, self._anchors = array("q"), array("q")
+        self._poses = array("d")
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def add(self, scan_index: int, anchor: int, anchor_T_it: Pose2) -> None:
+        """Remember the scan of one, and its place with respect to a keyframe that stays."""
+        self._scans.append(scan_index)
+        self._anchors.append(anchor)
+        self._poses.extend((anchor_T_it.x(), anchor_T_it.y(), anchor_T_it.theta()))
+
+    def renumber(self, index: Renumbered) -> None:
+        """Follow the anchors."""
+        self._anchors = array("q", index.all(np.array(self._anchors, np.int64)).tolist())
+
+    def joined(
+        self, keyframes: Sequence[Keyframe], poses: Matrix
+    ) -> tuple[NDArray[np.int64], Matrix, NDArray[np.int64]]:
+        """All places, of keyframes and former ones, in the order of their scans.
+
+        Args:
+            keyframes: of the graph.
+            poses: (n, 3) map_T_base of them.
+
+        Returns:
+            (m,) scans, (m, 3) map_T_base there, (m,) keyframes with respect to which these hold.
+        """
+        anchors = np.array(self._anchors, np.int64)
+        scans = np.array([*(k.scan_index for k in keyframes), *self._scans], np.int64)
+        former = compose(poses[anchors], np.array(self._poses).reshape(-1, 3))
+        order = np.argsort(scans, kind="stable")
+        owners = np.concatenate([np.arange(len(poses)), anchors])
+        return scans[order], np.concatenate([poses, former])[order], owners[order]
+
+
+class Thinner:
+    """Judges each keyframe once, when it is old enough for loops, and parts with many at once."""
+
+    def __init__(self, config: ThinningConfig, old_m: float) -> None:
+        self.places = FormerPlaces()
+        self._config, self._old_m = config, old_m
+        self._judged = 1  # keyframes, so far; the graph hangs on the first
+        self._centres = array("d")
+        self._spare: list[int] = []
+
+    def begin_at(self, keyframe: int) -> None:
+        """Keep all before this one."""
+        self._judged = keyframe
+
+    def due(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, doubted: Collection[int]
+    ) -> bool:
+        """Judge those that have become old; whether enough are dispensable by now.
+
+        `doubted` are scans to which the odometry did not lead: their keyframes are kept.
+        """
+        if not self._config.enough:
+            return False
+        now_m = keyframes[-1].travelled_m
+        while (k := self._judged) < len(keyframes):
+            if now_m - keyframes[k].travelled_m <= self._old_m:
+                break
+            if keyframes[k].scan_index not in doubted and self._is_spare(keyframes, graph, k):
+                self._spare.append(k)
+            self._judged += 1
+        return len(self._spare) >= max(self._config.at_once, self._config.share * len(keyframes))
+
+    def thin(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> tuple[PoseGraph, Thinned]:
+        """The graph without the dispensable ones, and what became of its edges."""
+        smaller, left = graph.without(self._spare)
+        for k, anchor in left.anchors.items():
+            there = graph.pose(anchor).between(graph.pose(k))
+            self.places.add(keyframes[k].scan_index, anchor, there)
+        self.places.renumber(left.index)
+        self._judged -= len(self._spare)
+        self._centres, self._spare = array("d"), []
+        return smaller, left
+
+    def _is_spare(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
+        """Whether enough others show the same, and the graph is sure that they do."""
+        for keyframe in keyframes[len(self._centres) // 2 : k + 1]:
+            self._centres.extend(keyframe.centre)
+        poses, within = graph.poses[: k + 1], self._config.within_m
+        standing = np.abs(poses[:, :2] - poses[k, :2]).max(axis=1) <= within
+        standing[self._spare] = False
+        near = np.flatnonzero(standing)  # the last is the one in question
+        if len(near) <= self._config.enough:
+            return False
+        centres = np.frombuffer(self._centres).reshape(-1, 2)[near]
+        views = np.hstack([placed(centres, poses[near]), poses[near, :2]])
+        away = np.sqrt(np.sum((views[:-1] - views[-1]) ** 2, axis=1))
+        if np.count_nonzero(away <= within) < self._config.enough:
+            return False
+        covariance = graph.relative(int(near[np.argmin(away)]), k)[1]
+        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        return 3.0 * sigma <= within
