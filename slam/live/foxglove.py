@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
 
 import foxglove
 import numpy as np
@@ -19,6 +18,7 @@ from logs.messages import Message, OccupancyMap, StatusMessage
 from logs.protos import descriptor_set
 from logs.schemas import CHANNELS, encode, topic_of
 from slam.errors import ViewError
+from slam.live.news import News
 from slam.live.snapshot import Snapshot, View
 from slam.occupancy import build_map
 from slam.pipeline import Slam
@@ -40,9 +40,7 @@ class FoxgloveServer:
         """Port 0 takes any free one."""
         self.port = port
         self._waiting: deque[Message] = deque(maxlen=_MOST_WAITING)
-        self._seen = [0, 0, 0, 0]  # of the pipeline's decisions, factors, verdicts, estimates
-        self._seen_ns = 0  # stamp of the last keyframe whose records were seen
-        self._thinned_out = 0
+        self._news = News()
         self._view = View("starting")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="foxglove", daemon=True)
@@ -87,18 +85,7 @@ class FoxgloveServer:
     def put_messages(self, slam: Slam, message: Message) -> None:
         """Queue a message, and what the pipeline has concluded since the last one."""
         self._waiting.append(message)
-        kept: tuple[Sequence[Message], ...] = (
-            slam.decisions, slam.factors, slam.loops.verdicts, slam.estimates
-        )  # fmt: skip
-        if slam.thinned_out["keyframes"] != self._thinned_out:  # records have gone, too
-            self._thinned_out = slam.thinned_out["keyframes"]
-            self._seen = [sum(r.stamp_ns <= self._seen_ns for r in records) for records in kept]
-        if slam.decisions:
-            self._seen_ns = slam.decisions[-1].stamp_ns
-        for k, records in enumerate(kept):
-            if len(records) > self._seen[k]:
-                self._waiting.extend(records[self._seen[k] :])
-                self._seen[k] = len(records)
+        self._waiting.extend(self._news.take(slam))
 
     def put_note(self, message: StatusMessage) -> None:
         """Queue a message about a device."""

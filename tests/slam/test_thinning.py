@@ -11,9 +11,10 @@ from backend.thinning import Renumbered
 from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
 from logs.mcap_log import open_log
-from logs.messages import LaserScan, LoopVerdict
+from logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict
 from slam.config import load_config
 from slam.live.frames import Feed
+from slam.live.news import News
 from slam.live.snapshot import View, take
 from slam.metrics import align
 from slam.offline import run_offline
@@ -117,6 +118,20 @@ def test_a_run_that_was_thinned_can_be_written_and_resumed(thin, tmp_path):
     np.testing.assert_allclose(slam.graph.poses, thin.keyframes.poses, atol=0.02)
     with open_log(tmp_path / "run.mcap") as log:
         assert any(m.note == THINNED for m in log.messages(["/factor"]))
+
+
+def test_news_of_the_run_come_once(messages):
+    slam, news, told = Slam(THIN), News(), []
+    for message in messages:
+        slam.step(message)
+        told += news.take(slam)
+        if slam.thinned_out["keyframes"] > 30:
+            break
+    decided = [m.stamp_ns for m in told if isinstance(m, KeyframeDecision)]
+    assert decided == sorted(set(decided))
+    assert len(decided) == len(slam.keyframes) + slam.thinned_out["keyframes"]
+    tied = [(m.kind, m.stamp_ns) for m in told if isinstance(m, FactorRecord) and m.kind == "icp"]
+    assert len(tied) == len(set(tied)) == len(decided) - 1
 
 
 def test_the_live_page_is_told_anew_when_indices_change(messages):
