@@ -207,17 +207,17 @@ def settle(slam: Slam) -> None:
     for candidate in refuted:
         edge, used = candidate.edge, weights[id(candidate.edge)] >= OUTLIER
         note = READMITTED if used else f"chi-square {candidate.chi_square:.1f} against the graph"
-        slam.record_edge(candidate.stamp_ns, edge, used, note)
+        slam.records.add_edge(candidate.stamp_ns, edge, used, note)
         judged[edge.i, edge.j] = used, note
     for edge in [e for e in graph.edges if weights.get(id(e), 1.0) < OUTLIER]:
         chi_square = edge.chi_square(graph.poses)
         note = f"withdrawn: chi-square {chi_square:.0f} against the whole graph"
         judged.setdefault((edge.i, edge.j), (False, note))
         graph.drop(edge)
-    slam.factors = [
+    slam.records.factors = [
         replace(f, used=judged[f.i, f.j][0], note=judged[f.i, f.j][1])
         if f.kind == "loop" and (f.i, f.j) in judged else f
-        for f in slam.factors
+        for f in slam.records.factors
     ]  # fmt: skip
     slam.loops.verdicts = [
         replace(v, accepted=judged[v.i, v.j][0], reason=judged[v.i, v.j][1])
@@ -280,7 +280,7 @@ def _estimates(
     covariances: NDArray[np.float64],
 ) -> list[PoseEstimate]:  # fmt: skip
     """Every scan's pose; its uncertainty is that of the keyframe before, plus a match's floor."""
-    lost = {estimate.stamp_ns for estimate in slam.estimates if estimate.lost}
+    lost = {estimate.stamp_ns for estimate in slam.records.estimates if estimate.lost}
     floor = np.diag([slam.config.graph.match_sigma_trans] * 2 + [slam.config.graph.match_sigma_rot])
     flat = (covariances + floor**2).reshape(len(stamps), 9)
     return [

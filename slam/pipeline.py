@@ -14,18 +14,15 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from backend.pose_graph import Edge, PoseGraph
+from backend.pose_graph import PoseGraph
 from frontend.information import Outlook
 from frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
 from frontend.scan import PreparedScan
 from frontend.unbend import unbend
 from logs.messages import (
-    FactorRecord,
-    KeyframeDecision,
     LaserMount,
     LaserScan,
     Message,
-    PoseEstimate,
     WheelOdometry,
 )
 from slam.config import SlamConfig
@@ -34,13 +31,7 @@ from slam.linking import Linker
 from slam.loops import LoopCloser
 from slam.loops_beside import Beside, at_once
 from slam.past import Past, locate
-from slam.records import (
-    decision_record,
-    decisions_left,
-    estimate_record,
-    factor_record,
-    pairs_left,
-)
+from slam.records import Records, decision_record, estimate_record
 from slam.scan_track import ScanTrack
 from slam.sightings import HONEST, Paired, ScanPairing, Sighting, Stretch, sight
 from slam.stopwatch import NoWatch
@@ -79,15 +70,12 @@ class Slam:
         self._watch = watch or NoWatch()
         self.keyframes: list[Keyframe] = []
         self.scans = ScanTrack()
-        self.decisions: list[KeyframeDecision] = []
-        self.factors: list[FactorRecord] = []
-        self.estimates: list[PoseEstimate] = []
+        self.records = Records()
         self.lost: Counter[str] = Counter()  # data that could not be used, per cause
         self.noted: Counter[str] = Counter()  # oddities that cost nothing, per cause
         self.odometry_faults: Counter[str] = Counter()  # lies told by the wheels, and scan gaps
         self.matches = 0
         self.doubted: set[int] = set()  # scans of keyframes to which the odometry did not lead
-        self.thinned_out: Counter[str] = Counter()  # keyframes, and what was on record of them
         self.mount = LaserMount(0, 0.0, 0.0, 0.0)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, beside)
@@ -112,7 +100,7 @@ class Slam:
         self.keyframes = list(past.keyframes)
         for k in past.keyframes:
             self.scans.append(k.scan.stamp_ns, k.odom_T_base)
-        self.factors, self.decisions = list(past.factors), list(past.decisions)
+        self.records.factors, self.records.decisions = list(past.factors), list(past.decisions)
         self._thinner.begin_at(len(past.keyframes))
         self.graph = PoseGraph.restored(past.poses, past.edges, self.config.graph)
 
@@ -252,7 +240,7 @@ class Slam:
             return
         self.graph.add_keyframe(self.graph.pose(edge.i) * edge.i_T_j, [edge])
         self._linker.begin_at(edge.j)
-        self.record_edge(sighting.scan.stamp_ns, edge, True, "found in the map made before")
+        self.records.add_edge(sighting.scan.stamp_ns, edge, True, "found in the map made before")
         self._decide(sighting.scan, sighting.index, "resumed", Pose2(), None)
         # As far on as makes the whole old map old enough for loops.
         self._keep(sighting, prepared, self.config.loops.min_path_m)
@@ -307,7 +295,7 @@ class Slam:
             used = [edge for edge, used in link.edges if used]
             self.graph.add_keyframe(self.graph.pose(new - 1) * link.step, used)
         for edge, is_used in link.edges:
-            self.record_edge(sighting.scan.stamp_ns, edge, is_used, link.note)
+            self.records.add_edge(sighting.scan.stamp_ns, edge, is_used, link.note)
         self._decide(sighting.scan, sighting.index, reason, stretch.moved, tracked)
         self._keep(sighting, prepared, float(np.hypot(link.step.x(), link.step.y())))
         self._estimate(sighting.scan.stamp_ns, tracked.lost)
@@ -330,7 +318,7 @@ class Slam:
             self.loops.moved()
         self.graph.add_edges_batch([c.edge for c in closures if c.gain < least])
         for closure in closures:
-            self.record_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
+            self.records.add_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
 
     def _thin_out(self) -> None:
         """Go on as though dispensable keyframes had never been, but for where they were."""
@@ -340,20 +328,13 @@ class Slam:
                 return
             self.graph, thinned = self._thinner.thin(self.keyframes, self.graph)
         index = thinned.index
-        gone = {k.scan.stamp_ns for k in self.keyframes if not index.stays[k.index]}
+        self.records.forget(self.keyframes, index)
+        self.records.thinned_out += self.loops.renumber(index)
         left = [k for k in self.keyframes if index.stays[k.index]]
         self.keyframes = [replace(k, index=new) for new, k in enumerate(left)]
         self._linker.renumber(index)
-        self.decisions = decisions_left(self.decisions, index)
-        self.estimates = [e for e in self.estimates if e.lost or e.stamp_ns not in gone]
-        self.factors, factors = pairs_left(self.factors, index)
         for edge in thinned.made:
-            self.record_edge(self.keyframes[edge.j].scan.stamp_ns, edge, True, THINNED)
-        self.thinned_out += self.loops.renumber(index)
-        self.thinned_out["keyframes"] += len(gone)
-        self.thinned_out["odometry refused"] += sum(
-            f.kind == "odometry" and not f.used for f in factors
-        )
+            self.records.add_edge(self.keyframes[edge.j].scan.stamp_ns, edge, True, THINNED)
 
     def _keep(self, sighting: Sighting, prepared: PreparedScan, step_m: float) -> None:
         travelled = step_m + (self.keyframes[-1].travelled_m if self.keyframes else 0.0)
@@ -378,14 +359,12 @@ class Slam:
         self, scan: LaserScan, index: int, reason: str, moved: Pose2, tracked: Tracked | None
     ) -> None:
         number = len(self.keyframes)
-        self.decisions.append(
+        self.records.decisions.append(
             decision_record(scan, number, index, reason, moved, self._interval, tracked)
         )
 
-    def record_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
-        """Keep a factor on record with what became of it."""
-        self.factors.append(factor_record(stamp_ns, edge, used, note))
-
     def _estimate(self, stamp_ns: int, lost: bool) -> None:
         assert self.graph is not None
-        self.estimates.append(estimate_record(stamp_ns, self.graph, len(self.keyframes) - 1, lost))
+        self.records.estimates.append(
+            estimate_record(stamp_ns, self.graph, len(self.keyframes) - 1, lost)
+        )

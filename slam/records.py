@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -13,6 +14,7 @@ from backend.pose_graph import Edge, PoseGraph
 from backend.thinning import Renumbered
 from frontend.keyframes import Interval
 from logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict, PoseEstimate
+from slam.keyframe import Keyframe
 from slam.tracking import Tracked
 
 Pair = TypeVar("Pair", FactorRecord, LoopVerdict)
@@ -63,11 +65,29 @@ def estimate_record(stamp_ns: int, graph: PoseGraph, k: int, lost: bool) -> Pose
     return PoseEstimate(stamp_ns, x, y, theta, covariance, lost)
 
 
-def decisions_left(
-    decisions: Iterable[KeyframeDecision], index: Renumbered
-) -> list[KeyframeDecision]:
-    """Those for keyframes that stay, under their new indices."""
-    return [replace(d, index=index(d.index)) for d in decisions if index.stays[d.index]]
+class Records:
+    """What a pipeline has decided, used and found so far."""
+
+    def __init__(self) -> None:
+        self.decisions: list[KeyframeDecision] = []
+        self.factors: list[FactorRecord] = []
+        self.estimates: list[PoseEstimate] = []
+        self.thinned_out: Counter[str] = Counter()  # keyframes, and what was known of them
+
+    def add_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
+        """Keep a factor on record with what became of it."""
+        self.factors.append(factor_record(stamp_ns, edge, used, note))
+
+    def forget(self, keyframes: Sequence[Keyframe], index: Renumbered) -> None:
+        """Only counts are left of keyframes that leave the graph; the others get new indices."""
+        gone = {k.scan.stamp_ns for k in keyframes if not index.stays[k.index]}
+        self.decisions = [
+            replace(d, index=index(d.index)) for d in self.decisions if index.stays[d.index]
+        ]
+        self.factors, factors = pairs_left(self.factors, index)
+        self.estimates = [e for e in self.estimates if e.lost or e.stamp_ns not in gone]
+        refused = sum(f.kind == "odometry" and not f.used for f in factors)
+        self.thinned_out += Counter({"keyframes": len(gone), "odometry refused": refused})
 
 
 def pairs_left(pairs: Iterable[Pair], index: Renumbered) -> tuple[list[Pair], list[Pair]]:

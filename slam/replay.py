@@ -180,7 +180,7 @@ def summarise(
     """The keys of `summary.json`."""
     slam, stamps = result.slam, result.trajectory.stamps_ns
     verdicts = slam.loops.verdicts
-    gone = slam.thinned_out
+    gone = slam.records.thinned_out
     accepted = sum(v.accepted for v in verdicts) + gone["accepted"]
     candidates = len(verdicts) + gone["accepted"] + gone["rejected"]
     peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -204,8 +204,8 @@ def summarise(
         "noted": dict(sorted(slam.noted.items())),
         "odometry_faults": dict(sorted(slam.odometry_faults.items())),
         "odometry_refused": gone["odometry refused"]
-        + sum(not f.used and f.kind == "odometry" for f in slam.factors),
-        "lost_keyframes": sum(e.lost for e in slam.estimates),
+        + sum(not f.used and f.kind == "odometry" for f in slam.records.factors),
+        "lost_keyframes": sum(e.lost for e in slam.records.estimates),
         "version": version(),
         "config_sha256": config.sha256(),
     }

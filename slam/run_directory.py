@@ -85,9 +85,9 @@ def write_times(path: Path, result: Result) -> None:
 
 
 def _write_decisions(log: LogWriter, result: Result) -> None:
-    slam = result.slam
+    records, verdicts = result.slam.records, result.slam.loops.verdicts
     for group in (
-        result.truth, slam.decisions, slam.factors, slam.loops.verdicts, result.estimates,
+        result.truth, records.decisions, records.factors, verdicts, result.estimates,
         [result.grid],
     ):  # fmt: skip
         for message in group:

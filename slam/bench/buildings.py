@@ -83,8 +83,10 @@ def drive(case: Case) -> dict[str, Any]:
         "keyframes": len(keyframes),
         **judged_closures(result, keyframes),
         "named": dict(sorted(result.slam.odometry_faults.items())),
-        "odometry_refused": sum(f.kind == "odometry" and not f.used for f in result.slam.factors),
-        "lost_keyframes": sum(e.lost for e in result.slam.estimates),
+        "odometry_refused": sum(
+            f.kind == "odometry" and not f.used for f in result.slam.records.factors
+        ),
+        "lost_keyframes": sum(e.lost for e in result.slam.records.estimates),
     }
 
 
@@ -94,7 +96,7 @@ def judged_closures(result: Result, true: Matrix) -> dict[str, int]:
     `true` (n, 3) are the keyframes' true poses.
     """
     accepted = [
-        f for f in result.slam.factors
+        f for f in result.slam.records.factors
         if f.kind == "loop" and (f.used or f.note.startswith("withdrawn"))
     ]  # fmt: skip
     final = [f for f in accepted if f.used]

@@ -27,10 +27,10 @@ def differences(live: Slam, again: Slam) -> list[str]:
     pairs = {
         "stamps": (live.scans.stamps_ns.tobytes(), again.scans.stamps_ns.tobytes()),
         "odometry": (live.scans.odom_poses.tobytes(), again.scans.odom_poses.tobytes()),
-        "decisions": (repr(live.decisions), repr(again.decisions)),
-        "factors": (repr(live.factors), repr(again.factors)),
+        "decisions": (repr(live.records.decisions), repr(again.records.decisions)),
+        "factors": (repr(live.records.factors), repr(again.records.factors)),
         "verdicts": (repr(live.loops.verdicts), repr(again.loops.verdicts)),
-        "live poses": (repr(live.estimates), repr(again.estimates)),
+        "live poses": (repr(live.records.estimates), repr(again.records.estimates)),
         "graph": (_graph_bytes(live), _graph_bytes(again)),
         "losses": (live.lost, again.lost),
     }

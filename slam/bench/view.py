@@ -114,7 +114,7 @@ def _run(messages: list[Message], viewers: Viewers) -> Result:
 
 def _same(a: Result, b: Result) -> bool:
     equal = a.trajectory.poses.tobytes() == b.trajectory.poses.tobytes()
-    return equal and a.slam.factors == b.slam.factors and a.estimates == b.estimates
+    return equal and a.slam.records.factors == b.slam.records.factors and a.estimates == b.estimates
 
 
 @contextmanager

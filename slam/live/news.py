@@ -18,16 +18,17 @@ class News:
 
     def take(self, slam: Slam) -> list[Message]:
         """The records that are new."""
+        records = slam.records
         kept: tuple[Sequence[Message], ...] = (
-            slam.decisions, slam.factors, slam.loops.verdicts, slam.estimates
+            records.decisions, records.factors, slam.loops.verdicts, records.estimates
         )  # fmt: skip
-        if slam.thinned_out["keyframes"] != self._thinned_out:  # old records have gone, too
-            self._thinned_out = slam.thinned_out["keyframes"]
-            self._known = [sum(r.stamp_ns <= self._last_ns for r in records) for records in kept]
-        if slam.decisions:
-            self._last_ns = slam.decisions[-1].stamp_ns
-        fresh = [
-            r for known, records in zip(self._known, kept, strict=True) for r in records[known:]
-        ]
-        self._known = [len(records) for records in kept]
+        if records.thinned_out["keyframes"] != self._thinned_out:  # old ones have gone, too
+            self._thinned_out = records.thinned_out["keyframes"]
+            self._known = [sum(r.stamp_ns <= self._last_ns for r in group) for group in kept]
+        if records.decisions:
+            self._last_ns = records.decisions[-1].stamp_ns
+        fresh: list[Message] = []
+        for known, group in zip(self._known, kept, strict=True):
+            fresh += group[known:]
+        self._known = [len(group) for group in kept]
         return fresh

@@ -41,13 +41,13 @@ def take(slam: Slam) -> Snapshot | None:
         return None
     last = slam.keyframes[-1]
     pose = slam.graph.pose(last.index) * last.odom_T_base.between(slam.scans.last_odometry)
-    estimate = slam.estimates[-1] if slam.estimates else None
+    estimate = slam.records.estimates[-1] if slam.records.estimates else None
     return Snapshot(
         mount=slam.mount,
         keyframes=tuple(slam.keyframes),
-        thinned_out=slam.thinned_out["keyframes"],
+        thinned_out=slam.records.thinned_out["keyframes"],
         poses=slam.graph.poses.copy(),
-        decisions=tuple(slam.decisions),
+        decisions=tuple(slam.records.decisions),
         verdicts=tuple(slam.loops.verdicts),
         scan=None if slam.lost_in_the_past else slam.latest_scan,
         pose=(pose.x(), pose.y(), pose.theta()),
@@ -68,9 +68,9 @@ def take_result(result: Result) -> Snapshot:
     return Snapshot(
         mount=slam.mount,
         keyframes=tuple(slam.keyframes),
-        thinned_out=slam.thinned_out["keyframes"],
+        thinned_out=slam.records.thinned_out["keyframes"],
         poses=result.keyframes.poses.copy(),
-        decisions=tuple(slam.decisions),
+        decisions=tuple(slam.records.decisions),
         verdicts=tuple(slam.loops.verdicts),
         scan=slam.latest_scan,
         pose=(x, y, theta),

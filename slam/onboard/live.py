@@ -154,7 +154,7 @@ class LiveRun:
     def _status(self, now: int) -> Status:
         news = self._news()
         slam = self.slam
-        decision = slam.decisions[-1] if slam and slam.decisions else None
+        decision = slam.records.decisions[-1] if slam and slam.records.decisions else None
         return Status(
             seconds=(now - self._began_ns) * 1e-9,
             links=dict(self._links),

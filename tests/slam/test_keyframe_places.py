@@ -179,5 +179,5 @@ def test_standing_still_makes_one_keyframe(run_in, method, name):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_turn_is_followed_by_keyframes_of_equal_turns(run_in, method):
     slam = run_in(method, "turning on the spot")
-    assert {d.reason for d in slam.decisions[1:]} == {"turn"}
+    assert {d.reason for d in slam.records.decisions[1:]} == {"turn"}
     assert abs(Pose2(*slam.graph.poses[-1]).theta() - slam.keyframes[-1].odom_T_base.theta()) < 0.02

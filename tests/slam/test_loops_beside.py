@@ -34,14 +34,14 @@ def run(messages, beside=at_once):
 @pytest.fixture(scope="module")
 def inline(circles):
     slam = run(circles)
-    assert sum(f.kind == "loop" for f in slam.factors) >= 5
+    assert sum(f.kind == "loop" for f in slam.records.factors) >= 5
     return slam
 
 
 def same(one, other):
     assert one.graph.poses.tobytes() == other.graph.poses.tobytes()
-    assert repr(one.factors) == repr(other.factors)
-    assert repr(one.estimates) == repr(other.estimates)
+    assert repr(one.records.factors) == repr(other.records.factors)
+    assert repr(one.records.estimates) == repr(other.records.estimates)
     assert repr(one.loops.verdicts) == repr(other.loops.verdicts)
 
 

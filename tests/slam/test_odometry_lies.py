@@ -40,14 +40,14 @@ def test_a_lie_is_named(kind):
 @pytest.mark.parametrize("kind", ["stall", "jump"])
 def test_a_refused_odometry_is_on_record(kind):
     _, result = run("office", 1, OdometryFault(kind, at_s=30.0))
-    refused = [f for f in result.slam.factors if f.kind == "odometry" and not f.used]
+    refused = [f for f in result.slam.records.factors if f.kind == "odometry" and not f.used]
     assert refused
     assert all("odometry refused" in f.note for f in refused)
 
 
 def test_honest_odometry_is_not_called_a_liar():
     error, result = run("office", 1)
-    refused = [f for f in result.slam.factors if f.kind == "odometry" and not f.used]
+    refused = [f for f in result.slam.records.factors if f.kind == "odometry" and not f.used]
     assert error < 0.05
     assert len(refused) <= 0.01 * len(result.slam.keyframes)
     assert not result.slam.odometry_faults

@@ -64,20 +64,20 @@ def test_equal_messages_give_equal_bits():
     messages = list(simulate(scenario("office", 2), seed=2))[:900]
     one, other = run(messages, DEFAULTS), run(messages, DEFAULTS)
     assert one.graph.poses.tobytes() == other.graph.poses.tobytes()
-    assert one.factors == other.factors
+    assert one.records.factors == other.records.factors
     assert [v.reason for v in one.loops.verdicts] == [v.reason for v in other.loops.verdicts]
 
 
 def test_every_factor_and_decision_is_recorded(sense, straight):
     slam = run(sense(ROOM, straight(3.0, start=-1.5)))
     n = len(slam.keyframes)
-    assert [d.index for d in slam.decisions] == list(range(n))
-    assert slam.decisions[0].reason == "first"
-    kinds = Counter(f.kind for f in slam.factors if f.used)
+    assert [d.index for d in slam.records.decisions] == list(range(n))
+    assert slam.records.decisions[0].reason == "first"
+    kinds = Counter(f.kind for f in slam.records.factors if f.used)
     assert kinds == {"odometry": n - 1, "icp": n - 1}
-    assert len(slam.graph.edges) == sum(f.used for f in slam.factors)
+    assert len(slam.graph.edges) == sum(f.used for f in slam.records.factors)
     # A decision shows what the keyframe before it made of the walls.
-    assert all(d.t_pe >= 0 and len(d.sums) == 4 for d in slam.decisions[1:])
+    assert all(d.t_pe >= 0 and len(d.sums) == 4 for d in slam.records.decisions[1:])
 
 
 def test_a_robot_that_sees_nothing_for_a_while_goes_on_when_it_sees_again(sense, straight):
@@ -149,4 +149,4 @@ def test_a_bad_stretch_is_worked_off_in_later_steps_with_the_same_result(monkeyp
     at_once.finish_input()
     assert most > 10
     assert slam.graph.poses.tobytes() == at_once.graph.poses.tobytes()
-    assert slam.factors == at_once.factors
+    assert slam.records.factors == at_once.records.factors

@@ -72,7 +72,7 @@ def test_a_drive_cut_in_two_gives_one_good_map(halves, first_run, start):
         result.keyframes.stamps_ns[:old], read_tum(first_run / "keyframes.tum").stamps_ns
     )
     assert any(e.i < old <= e.j for e in result.edges if e.kind == "loop")
-    assert result.slam.decisions[old].reason == "resumed"
+    assert result.slam.records.decisions[old].reason == "resumed"
     assert sum(result.lost.values()) < 0.05 * len(result.trajectory)
     assert ate(result) < 0.02  # in one go: below 1 cm
     stamps = result.trajectory.stamps_ns

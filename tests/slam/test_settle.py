@@ -44,7 +44,7 @@ def bent():
     last = 2 * OUT
     first = candidate(slam, 0, last, measured(0, last, 0.3), "accepted")
     slam.graph.add_edges([first.edge])
-    slam.record_edge(last, first.edge, True, "")
+    slam.records.add_edge(last, first.edge, True, "")
     for k in range(1, 10):
         true = candidate(slam, k, last - k, measured(k, last - k), "chi-square 40.0 against ...")
         slam.loops.refuted.append(true)
@@ -58,7 +58,7 @@ def test_closures_that_the_rest_sides_with_are_admitted_in_the_end(bent):
     tied = [*range(10), *range(2 * OUT - 9, 2 * OUT + 1)]
     away = [bent.graph.pose(k).between(truth(k)) for k in tied]
     assert max(np.hypot(p.x(), p.y()) for p in away) < 0.05
-    back = {(f.i, f.j) for f in bent.factors if f.kind == "loop" and f.used}
+    back = {(f.i, f.j) for f in bent.records.factors if f.kind == "loop" and f.used}
     assert back == {(k, 2 * OUT - k) for k in range(1, 10)}
     assert all(v.reason == READMITTED for v in bent.loops.verdicts if v.accepted)
 

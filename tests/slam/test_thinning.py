@@ -53,10 +53,10 @@ def ate(result):
 
 
 def test_the_graph_stops_growing_and_the_map_is_as_good(thin, whole):
-    gone = thin.slam.thinned_out["keyframes"]
+    gone = thin.slam.records.thinned_out["keyframes"]
     assert gone > 0.25 * len(whole.slam.keyframes)
     assert len(thin.slam.keyframes) + gone == pytest.approx(len(whole.slam.keyframes), rel=0.05)
-    assert not whole.slam.thinned_out
+    assert not whole.slam.records.thinned_out
     assert ate(whole) < 0.03
     assert ate(thin) < 1.5 * ate(whole) + 0.005
 
@@ -71,13 +71,13 @@ def test_records_name_the_keyframes_that_are_left(thin):
     slam = thin.slam
     count = len(slam.keyframes)
     assert [k.index for k in slam.keyframes] == list(range(count))
-    assert [d.index for d in slam.decisions] == list(range(count))
-    assert [d.stamp_ns for d in slam.decisions] == [k.scan.stamp_ns for k in slam.keyframes]
-    for pair in (*slam.factors, *slam.loops.verdicts, *slam.graph.edges):
+    assert [d.index for d in slam.records.decisions] == list(range(count))
+    assert [d.stamp_ns for d in slam.records.decisions] == [k.scan.stamp_ns for k in slam.keyframes]
+    for pair in (*slam.records.factors, *slam.loops.verdicts, *slam.graph.edges):
         assert 0 <= pair.i < pair.j < count
-    used = {(f.kind, f.i, f.j) for f in slam.factors if f.used}
+    used = {(f.kind, f.i, f.j) for f in slam.records.factors if f.used}
     assert {(e.kind, e.i, e.j) for e in slam.graph.edges} == used
-    assert any(f.note == THINNED for f in slam.factors)
+    assert any(f.note == THINNED for f in slam.records.factors)
     numbers = [k.number for k in slam.keyframes]
     assert numbers == sorted(set(numbers))
     assert numbers[-1] > count
@@ -87,7 +87,7 @@ def test_summary_counts_those_that_are_gone(thin, whole):
     timing = {"wall_s": 1.0}
     said = summarise(thin, "log", timing, THIN)
     assert said["keyframes"] == len(thin.slam.keyframes)
-    assert said["thinned_out"] == thin.slam.thinned_out["keyframes"]
+    assert said["thinned_out"] == thin.slam.records.thinned_out["keyframes"]
     loops = said["loops"]
     assert loops["candidates"] == loops["accepted"] + loops["rejected"]
     assert loops["candidates"] > len(thin.slam.loops.verdicts)
@@ -102,9 +102,9 @@ def test_it_does_not_matter_whether_loops_are_searched_beside(messages, thin):
         for message in messages:
             slam.step(message)
         slam.finish_input()
-    assert slam.thinned_out == thin.slam.thinned_out
-    assert repr(slam.decisions) == repr(thin.slam.decisions)  # nan is not nan
-    assert slam.estimates == thin.slam.estimates
+    assert slam.records.thinned_out == thin.slam.records.thinned_out
+    assert repr(slam.records.decisions) == repr(thin.slam.records.decisions)  # nan is not nan
+    assert slam.records.estimates == thin.slam.records.estimates
 
 
 def test_a_run_that_was_thinned_can_be_written_and_resumed(thin, tmp_path):
@@ -125,11 +125,11 @@ def test_news_of_the_run_come_once(messages):
     for message in messages:
         slam.step(message)
         told += news.take(slam)
-        if slam.thinned_out["keyframes"] > 30:
+        if slam.records.thinned_out["keyframes"] > 30:
             break
     decided = [m.stamp_ns for m in told if isinstance(m, KeyframeDecision)]
     assert decided == sorted(set(decided))
-    assert len(decided) == len(slam.keyframes) + slam.thinned_out["keyframes"]
+    assert len(decided) == len(slam.keyframes) + slam.records.thinned_out["keyframes"]
     tied = [(m.kind, m.stamp_ns) for m in told if isinstance(m, FactorRecord) and m.kind == "icp"]
     assert len(tied) == len(set(tied)) == len(decided) - 1
 
@@ -137,9 +137,9 @@ def test_news_of_the_run_come_once(messages):
 def test_the_live_page_is_told_anew_when_indices_change(messages):
     slam, feed, greetings, thinnings = Slam(THIN), Feed(), 0, 0
     for message in messages:
-        before = slam.thinned_out["keyframes"]
+        before = slam.records.thinned_out["keyframes"]
         slam.step(message)
-        thinnings += slam.thinned_out["keyframes"] != before
+        thinnings += slam.records.thinned_out["keyframes"] != before
         if slam.graph is not None and isinstance(message, LaserScan):
             frames = [json.loads(frame) for frame in feed.frames(View("live", take(slam)))]
             greetings += frames[0]["type"] == "hello"
@@ -195,7 +195,7 @@ def test_a_single_pass_loses_nothing():
     for message in drive:
         slam.step(message)
     slam.finish_input()
-    assert not slam.thinned_out
+    assert not slam.records.thinned_out
 
 
 def test_verdicts_that_are_gone_are_counted():
