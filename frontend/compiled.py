@@ -9,9 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit
+from numba.core.registry import CPUDispatcher
 
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,  # for C callbacks: nothing here makes any, and it takes time
@@ -19,20 +19,45 @@ _OPTIONS: dict[str, Any] = {
 _BARE = {**_OPTIONS, "_nrt": False}  # without the run time that owns arrays
 
 
+class _Part(CPUDispatcher):
+    """A function that only kernels call: compiled with each of them, and not kept by itself.
+
+    What would unpack the arguments that Python hands over takes longer to compile than most
+    functions themselves (0.1 s for 20 arrays), so it is left out: Python calls the Python function.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        options = {**options, "nopython": True, "no_cpython_wrapper": True}
+        super().__init__(function, targetoptions=options)
+
+    def __call__(self, *args: Any) -> Any:
+        return self.py_func(*args)
+
+
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that may allocate arrays."""
-    return njit(**_OPTIONS)(function)
+    """Compile a function that Python calls; it may allocate arrays."""
+    return njit(cache=True, **_OPTIONS)(function)
 
 
-def part(function: Callable[..., Any]) -> Any:
-    """Compile a function that only works on the arrays it is given.
+def bare_kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function that Python calls and that only works on the arrays it is given.
 
     Without numba's run time no array is counted as used and released again: two atomic
     operations an array and call, which cost more than the search for a partner.
     """
-    return njit(**_BARE)(function)
+    return njit(cache=True, **_BARE)(function)
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a function that kernels call; it allocates nothing."""
+    return _Part(function, _BARE)
+
+
+def allocating_part(function: Callable[..., Any]) -> Any:
+    """Compile as a `part` what allocates arrays."""
+    return _Part(function, _OPTIONS)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a `part` into each of its callers: for what is called once a beam."""
-    return njit(forceinline=True, **_BARE)(function)
+    return _Part(function, {**_BARE, "forceinline": True})

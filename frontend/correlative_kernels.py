@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import kernel, part
+from frontend.compiled import bare_kernel, kernel, part
 
 
 @kernel
@@ -29,7 +29,7 @@ def stamp(points, low, resolution, smoothing, grid):
                 grid[y, x] = max(grid[y, x], np.float32(along * across[x - left]))
 
 
-@part
+@bare_kernel
 def block_maximum(finer, shift, coarser):
     """coarser[y, x] = maximum of finer over the block twice as wide that begins at (y, x)."""
     rows, columns = finer.shape
@@ -66,7 +66,7 @@ def blocks_per_axis(levels, cells):
     return (2 * cells) // (1 << (levels - 1)) + 1
 
 
-@part
+@bare_kernel
 def bound_blocks(levels, points, angles, x0, y0, cells, xs, ys, bounds):
     """Fill the cells of the points turned by each angle, and the bound of each coarsest block.
 
@@ -89,7 +89,7 @@ def bound_blocks(levels, points, angles, x0, y0, cells, xs, ys, bounds):
                 )
 
 
-@part
+@bare_kernel
 def branch_and_bound(
     levels, xs, ys, bounds, order, angles, cells, min_score, excluded, stack, best
 ):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import part
+from frontend.compiled import bare_kernel
 from frontend.icp_kernels import nearest_beam
 from frontend.scan_kernels import VALID
 
 
-@part
+@bare_kernel
 def point_to_point(
     source_points,
     source_flags,

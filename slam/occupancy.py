@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from frontend.compiled import kernel, part
+from frontend.compiled import allocating_part, kernel, part
 from logs.messages import LaserScan, OccupancyMap
 from slam.trajectory import Poses
 
@@ -282,7 +282,7 @@ def _draw(beams, rules, cells, left, bottom):
             )
 
 
-@kernel
+@allocating_part
 def _draw_scan(beams, x, y, ends, hits, rules, cells, touched):
     """Draw one scan of `beams` beams; positions are in cells from the grid's corner."""
     rows, columns = cells.shape

@@ -7,15 +7,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frontend.covariance_kernels import combine, invert3, weakest_axis
-from frontend.icp_kernels import bearing_of, eigen2, nearest_beam, solve3
+from frontend import covariance_kernels, icp_kernels, scan_kernels
+from frontend.compiled import kernel
 from frontend.scan import LINE, prepare
-from frontend.scan_kernels import fit_lines
 from logs.messages import LaserMount, LaserScan
 from tests.conftest import stale
 from tests.frontend.scans import CENTRED, SCAN
 
 finite = st.floats(-8, 8)
+
+# Parts are compiled into the kernels that call them; here each is a kernel of its own.
+combine = kernel(covariance_kernels.combine.py_func)
+invert3 = kernel(covariance_kernels.invert3.py_func)
+weakest_axis = kernel(covariance_kernels.weakest_axis.py_func)
+bearing_of = kernel(icp_kernels.bearing_of.py_func)
+eigen2 = kernel(icp_kernels.eigen2.py_func)
+nearest_beam = kernel(icp_kernels.nearest_beam.py_func)
+solve3 = kernel(icp_kernels.solve3.py_func)
+fit_lines = kernel(scan_kernels.fit_lines.py_func)
 
 
 @st.composite
@@ -160,3 +169,7 @@ def test_compiled_kernels_older_than_any_source_are_stale(tmp_path):
         path.touch()
         os.utime(path, (when, when))
     assert stale(tmp_path, [source]) == [old]
+
+
+def test_a_part_is_plain_python_to_python():
+    assert icp_kernels.eigen2(2.0, 0.0, 1.0) == eigen2(2.0, 0.0, 1.0)

@@ -8,7 +8,9 @@ from gtsam import Pose2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from frontend.icp_kernels import COST, PAIRS, SYSTEM, accumulate
+from frontend import icp_kernels
+from frontend.compiled import kernel
+from frontend.icp_kernels import COST, PAIRS, SYSTEM
 from frontend.matching import MatchConfig, Reference, match
 from frontend.scan import prepare
 from logs.messages import LaserMount, LaserScan
@@ -25,6 +27,7 @@ from tests.frontend.scans import (
 )
 
 START = Pose2(0.0, 0.0, 0.3)
+accumulate = kernel(icp_kernels.accumulate.py_func)
 motions = st.builds(Pose2, st.floats(-0.4, 0.4), st.floats(-0.15, 0.15), st.floats(-0.26, 0.26))
 seeds = st.integers(0, 10_000)
 
