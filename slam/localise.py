@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -91,32 +92,6 @@ def refine_edges(
     return edges
 
 
-def warp(
-    odom_poses: Matrix,
-    scan_keyframes: NDArray[np.int64],
-    keyframe_scans: NDArray[np.int64],
-    keyframe_poses: Matrix,
-) -> Matrix:
-    """Poses of all scans from odometry bent onto the keyframes, (n, 3).
-
-    Between two keyframes the odometry's step is followed, and the difference to where the
-    graph puts the second one is spread evenly over the scans in between.
-    """
-    out = np.empty_like(odom_poses)
-    for s in range(len(odom_poses)):
-        k = max(int(scan_keyframes[s]), 0)
-        a = int(keyframe_scans[k])
-        odom_T_a, map_T_a = Pose2(*odom_poses[a]), Pose2(*keyframe_poses[k])
-        pose = map_T_a * odom_T_a.between(Pose2(*odom_poses[s]))
-        if k + 1 < len(keyframe_scans) and s > a:
-            b = int(keyframe_scans[k + 1])
-            end = map_T_a * odom_T_a.between(Pose2(*odom_poses[b]))
-            correction = Pose2.Logmap(end.between(Pose2(*keyframe_poses[k + 1])))
-            pose = pose * Pose2.Expmap(correction * ((s - a) / (b - a)))
-        out[s] = pose.x(), pose.y(), pose.theta()
-    return out
-
-
 @dataclass(frozen=True, slots=True)
 class _Located:
     """The scan before: where it was thought to be, where it was found, how fast it came there."""
@@ -149,7 +124,7 @@ class ScanLocaliser:
 
     def locate(
         self, scan: PreparedScan, guess: Pose2, doubted: bool = False,
-        first: Matched | None = None,
+        first: Matched | None = None, reach_m: float = math.inf,
     ) -> Pose2:  # fmt: skip
         """map_T_base of the next scan; the guess where nothing better is found.
 
@@ -159,15 +134,18 @@ class ScanLocaliser:
         Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
         more than it should: then the search starts again from where the last scan was found.  A
         match from the guess is good enough unless that odometry is `doubted`: in a corridor other
-        starts find other places that look alike.
+        starts find other places that look alike.  What they find farther off than `reach_m`, and
+        a guess may be, is out of the question.
         """
         enough = self._config.good_quality if doubted else self._config.min_quality
         best, best_quality = guess, self._config.min_quality
+        farthest = reach_m + 3.0 * self._config.sigma_trans
         for start in (guess, *self._other_starts(scan.stamp_ns, guess)):
             found, quality = first or self.match_from(scan, start)
             first = None
             self.matches += 1
-            if quality > best_quality:
+            away = guess.between(found)
+            if quality > best_quality and np.hypot(away.x(), away.y()) <= farthest:
                 best, best_quality = found, quality
             if best_quality > enough:
                 break

@@ -24,8 +24,9 @@ from logs.messages import (
     WheelOdometry,
 )
 from slam.config import SlamConfig
+from slam.expected import Expected, expect
 from slam.forked import with_outcomes
-from slam.localise import ScanLocaliser, refine_edges, warp
+from slam.localise import ScanLocaliser, refine_edges
 from slam.occupancy import build_map
 from slam.past import Past
 from slam.pipeline import BACKWARDS, Slam
@@ -160,14 +161,11 @@ def finish(
     odometry = slam.scans.odom_poses
     keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
     place_scans, places, owners = slam.places(poses)
-    before = np.searchsorted(place_scans, np.arange(len(stamps)), side="right") - 1
-    bent = warp(odometry, before, place_scans, places)
-    found, matches = bent, 0
+    expected = expect(odometry, place_scans, places, slam.doubted)
+    found, matches = expected.poses, 0
     if config.localise.every_scan:
         with watch("localising"):
-            after = np.searchsorted(place_scans, np.arange(len(stamps)))
-            doubted = np.isin(np.append(place_scans, -1), sorted(slam.doubted))[after]
-            found, matches = _localise(slam, source, poses, bent, doubted, watch, tell, processes)
+            found, matches = _localise(slam, source, poses, expected, watch, tell, processes)
     with watch("map"):
         mount = np.array([slam.mount.x, slam.mount.y, slam.mount.theta])
         scans = [k.scan for k in slam.keyframes]
@@ -177,7 +175,7 @@ def finish(
         Trajectory(stamps, found),
         Trajectory(stamps, odometry),
         Trajectory(stamps[keyframe_scans], poses),
-        _estimates(slam, stamps, found, marginals[owners[np.maximum(before, 0)]]),
+        _estimates(slam, stamps, found, marginals[owners[expected.before]]),
         graph.edges,
         [graph.weight(edge) for edge in graph.edges],
         grid,
@@ -238,23 +236,21 @@ def _timed(messages: Iterable[Message], watch: NoWatch) -> Iterable[Message]:
 
 
 def _localise(
-    slam: Slam, source: Source, poses: NDArray[np.float64], guesses: NDArray[np.float64],
-    doubted: NDArray[np.bool_], watch: NoWatch, tell: Progress, processes: int,
+    slam: Slam, source: Source, poses: NDArray[np.float64], expected: Expected, watch: NoWatch,
+    tell: Progress, processes: int,
 ) -> tuple[NDArray[np.float64], int]:  # fmt: skip
-    """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made.
-
-    `guesses` (n, 3) is where to look; the odometry that leads to those `doubted` (n,) may lie.
-    """
+    """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
-    found = guesses.copy()
+    found = expected.poses.copy()
 
     def prepared() -> Iterator[tuple[PreparedScan, Pose2]]:
         for row, scan in enumerate(_scans_again(slam, _timed(source(), watch))):
-            yield prepare(scan, slam.mount, slam.config.scan), Pose2(*guesses[row])
+            yield prepare(scan, slam.mount, slam.config.scan), Pose2(*expected.poses[row])
 
     matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
     for row, ((scan, guess), first) in enumerate(matched):
-        pose = localiser.locate(scan, guess, bool(doubted[row]), first)
+        doubted, reach_m = bool(expected.doubted[row]), float(expected.reach_m[row])
+        pose = localiser.locate(scan, guess, doubted, first, reach_m)
         found[row] = pose.x(), pose.y(), pose.theta()
         tell("localising", row + 1)
     return found, localiser.matches

@@ -174,9 +174,26 @@ def _surpassed(
         step = first.target_T_source.between(rival.target_T_source)
         if np.hypot(step.x(), step.y()) < APART_M or _quality(rival) < alone:
             continue
-        if _quality(found(guess, references)) > config.margin * first.quality:
+        unseen = _unseen(references, source, first.target_T_source)
+        if _quality(found(guess, references)) > config.margin * (first.quality + unseen):
             return True
     return False
+
+
+def _unseen(references: Sequence[Reference], source: PreparedScan, pose: Pose2) -> float:
+    """Share of the scan's beams that end where no reference has looked, at target_T_source.
+
+    A robot that backs away sees walls that were behind it: that none of the scans before knows
+    them does not speak against the motion.
+    """
+    points = source.points[np.isfinite(source.points).all(axis=1)]
+    unseen = np.ones(len(points), dtype=bool)
+    for reference in references:
+        first, step, x, y = reference.scan.geometry[:4]
+        here = reference.target_T_scan.between(pose).transformFrom(points.T).T - (x, y)
+        turn = np.mod(np.arctan2(here[:, 1], here[:, 0]) - first, 2.0 * np.pi)
+        unseen &= turn > step * (len(reference.scan.points) - 1)
+    return float(np.mean(unseen)) if len(points) else 0.0
 
 
 def _quality(result: MatchResult) -> float:

@@ -21,7 +21,8 @@ from frontend.keyframes import KeyframeConfig
 from frontend.scan import PreparedScan, prepare
 from logs.messages import LaserScan, SensorMessage, TruePose
 from slam.config import SlamConfig
-from slam.localise import ScanLocaliser, warp
+from slam.expected import expect
+from slam.localise import ScanLocaliser
 from slam.metrics import Association, absolute_errors, align
 from slam.pipeline import Slam
 from slam.trajectory import Trajectory
@@ -166,13 +167,14 @@ def trajectory_of(
     keyframes = np.array([k.scan_index for k in slam.keyframes])
     poses, stamps = slam.graph.poses.copy(), slam.scans.stamps_ns
     rows = np.arange(0, len(slam.scans), every)
-    before = np.searchsorted(keyframes, np.arange(len(slam.scans)), side="right") - 1
-    bent = warp(slam.scans.odom_poses, before, keyframes, poses)
+    expected = expect(slam.scans.odom_poses, keyframes, poses, ())
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = np.empty((len(rows), 3))
     for k, row in enumerate(rows.tolist()):
         scan = prepare(scans[int(stamps[row])], slam.mount, slam.config.scan)
-        pose = localiser.locate(scan, Pose2(*bent[row]))
+        pose = localiser.locate(
+            scan, Pose2(*expected.poses[row]), reach_m=float(expected.reach_m[row])
+        )
         found[k] = pose.x(), pose.y(), pose.theta()
     return rows, found
 

@@ -70,3 +70,19 @@ def test_odometry_that_comes_a_scan_late_in_a_turn_leaves_no_mark(turn):
         error = Pose2.Logmap(true.between(among.locate(stamped, guess)))
         assert np.hypot(error[0], error[1]) < 0.02, k
         assert abs(error[2]) < 0.01, k
+
+
+def test_a_start_from_a_scan_that_slid_leads_no_further_than_a_guess_may_be_off():
+    """Along a bare corridor a match is as good anywhere: one wrong scan must not lead the next."""
+    bare = World(np.array([[-90.0, 1.0, 90.0, 1.0], [-90.0, -1.0, 90.0, -1.0]]))
+
+    def found(**reach):
+        among = localiser(bare, [Pose2(x, 0.0, 0.0) for x in np.arange(-1.0, 4.0, 0.5)])
+        slid = Pose2(-2.0, 0.0, 0.0), 0.9
+        among.locate(seen(bare, Pose2(), 100)[1], Pose2(), first=slid)
+        scan = seen(bare, Pose2(2.0, 0.0, 0.0), 101)[1]
+        refused = Pose2(2.0, 0.0, 0.0), 0.0
+        return among.locate(scan, Pose2(2.0, 0.0, 0.0), first=refused, **reach).x()
+
+    assert found() < 0.5  # as far behind as the scan before
+    assert found(reach_m=0.25) == pytest.approx(2.0, abs=0.55)

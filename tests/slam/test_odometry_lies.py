@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from gtsam import Pose2
 
 from drivers.simulators.drive import simulate
 from drivers.simulators.faults import OdometryFault
@@ -15,9 +16,10 @@ from slam.trajectory import compose
 
 
 @cache
-def run(world, seed, *faults):
+def run(world, seed, *faults, passes=1):
     """ATE (m) of a simulated drive, and what its run says."""
-    messages = list(simulate(scenario(world, seed), seed=seed, faults=faults))
+    drive = simulate(scenario(world, seed), seed=seed, faults=faults, passes=passes)
+    messages = list(drive)
     result = run_offline(lambda: messages, SlamConfig())
     truth = {m.stamp_ns: (m.x, m.y, m.theta) for m in result.truth}
     true = np.array([truth[int(stamp)] for stamp in result.trajectory.stamps_ns])
@@ -51,6 +53,15 @@ def test_honest_odometry_is_not_called_a_liar():
     assert error < 0.05
     assert len(refused) <= 0.01 * len(result.slam.keyframes)
     assert not result.slam.odometry_faults
+
+
+def test_backing_out_of_a_bare_corridor_is_no_lie():
+    """Walls come into view that were behind the robot: no motion would explain more beams."""
+    error, result = run("plain-corridor", 1, passes=2)
+    assert not result.slam.odometry_faults
+    ahead = Pose2(*result.keyframes.poses[0]).between(Pose2(*result.keyframes.poses[-1]))
+    assert np.hypot(ahead.x(), ahead.y()) < 0.6  # of 94 m, along which only the wheels can tell
+    assert error < 0.4
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
 from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
 from slam.config import load_config
-from slam.localise import warp
+from slam.expected import warp
 from slam.offline import SlamError, run_offline
 from slam.trajectory import between
 

@@ -1,0 +1,71 @@
+"""Where scans are expected, and how far off they can be, before they are matched themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Expected:
+    """Of each of n scans, from the keyframes before and after it, and the odometry between."""
+
+    poses: Matrix  # (n, 3) map_T_base
+    reach_m: Matrix  # (n,) m, to the farther of the two
+    doubted: NDArray[np.bool_]  # (n,) whether the odometry that leads there was refuted
+    before: NDArray[np.intp]  # (n,) which keyframe is the one before, 0 where there is none
+
+
+def expect(
+    odom_poses: Matrix, keyframe_scans: NDArray[np.int64], keyframe_poses: Matrix,
+    doubted_scans: Collection[int],
+) -> Expected:  # fmt: skip
+    """What is known of all scans once the keyframes have their poses.
+
+    Args:
+        odom_poses: (n, 3) odom_T_base of all scans.
+        keyframe_scans: (m,) which of them are keyframes.
+        keyframe_poses: (m, 3) map_T_base of those.
+        doubted_scans: keyframes to which the odometry did not lead, as scans.
+    """
+    rows = np.arange(len(odom_poses))
+    before = np.searchsorted(keyframe_scans, rows, side="right") - 1
+    poses = warp(odom_poses, before, keyframe_scans, keyframe_poses)
+    before = np.maximum(before, 0)
+    after = np.searchsorted(keyframe_scans, rows)  # of a keyframe itself, that one
+    ends = np.stack([before, np.minimum(after, len(keyframe_scans) - 1)])
+    ways = keyframe_poses[ends, :2] - poses[:, :2]
+    doubted = np.isin(np.append(keyframe_scans, -1), sorted(doubted_scans))[after]
+    return Expected(poses, np.hypot(ways[..., 0], ways[..., 1]).max(axis=0), doubted, before)
+
+
+def warp(
+    odom_poses: Matrix,
+    scan_keyframes: NDArray[np.int64],
+    keyframe_scans: NDArray[np.int64],
+    keyframe_poses: Matrix,
+) -> Matrix:
+    """Poses of all scans from odometry bent onto the keyframes, (n, 3).
+
+    Between two keyframes the odometry's step is followed, and the difference to where the
+    graph puts the second one is spread evenly over the scans in between.
+    """
+    out = np.empty_like(odom_poses)
+    for s in range(len(odom_poses)):
+        k = max(int(scan_keyframes[s]), 0)
+        a = int(keyframe_scans[k])
+        odom_T_a, map_T_a = Pose2(*odom_poses[a]), Pose2(*keyframe_poses[k])
+        pose = map_T_a * odom_T_a.between(Pose2(*odom_poses[s]))
+        if k + 1 < len(keyframe_scans) and s > a:
+            b = int(keyframe_scans[k + 1])
+            end = map_T_a * odom_T_a.between(Pose2(*odom_poses[b]))
+            correction = Pose2.Logmap(end.between(Pose2(*keyframe_poses[k + 1])))
+            pose = pose * Pose2.Expmap(correction * ((s - a) / (b - a)))
+        out[s] = pose.x(), pose.y(), pose.theta()
+    return out
