@@ -126,14 +126,14 @@ class Thinner:
 
     def _is_spare(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
         """Whether enough others show the same, and the graph is sure that they do."""
+        poses, within = graph.poses[: k + 1], self._config.within_m
+        near = np.flatnonzero(np.abs(poses[:, 0] - poses[k, 0]) <= within)
+        near = near[np.abs(poses[near, 1] - poses[k, 1]) <= within]
+        if len(near) <= self._config.enough:  # the last is the one in question
+            return False
+        near = near[~np.isin(near, self._spare)]
         for keyframe in keyframes[len(self._centres) // 2 : k + 1]:
             self._centres.extend(keyframe.centre)
-        poses, within = graph.poses[: k + 1], self._config.within_m
-        standing = np.abs(poses[:, :2] - poses[k, :2]).max(axis=1) <= within
-        standing[self._spare] = False
-        near = np.flatnonzero(standing)  # the last is the one in question
-        if len(near) <= self._config.enough:
-            return False
         centres = np.frombuffer(self._centres).reshape(-1, 2)[near]
         views = np.hstack([placed(centres, poses[near]), poses[near, :2]])
         away = np.sqrt(np.sum((views[:-1] - views[-1]) ** 2, axis=1))
