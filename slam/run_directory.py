@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -18,22 +19,56 @@ from slam.offline import Result
 from slam.trajectory import format_stamp, write_tum
 
 
+class _TakenError(Exception):
+    """The directory belongs to a command that still runs."""
+
+
+@contextmanager
+def _claimed(partial: Path) -> Iterator[None]:
+    """Make the directory, instead of what a command that was cut off has left, and lock it.
+
+    The lock ends with the process, however that ends.
+    """
+    if partial.exists():
+        with _locked(partial):
+            shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    with _locked(partial):
+        yield
+
+
+@contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise _TakenError from error
+        yield
+    finally:
+        os.close(handle)
+
+
 @contextmanager
 def new_run(out: Path) -> Iterator[Path]:
     """A `.partial` directory that takes the name `out` if the block ends well, or else is removed.
 
     Raises:
-        RunError: `out` exists already, or cannot be made.
+        RunError: `out` exists already, is being written by another command, or cannot be made.
     """
     if out.exists():
         raise RunError(f"{out}: exists already; choose another --out or remove it first")
     partial = out.with_name(out.name + ".partial")
     missing = [folder for folder in out.parents if not folder.exists()]
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-        yield partial
-        os.replace(partial, out)
+        with _claimed(partial):
+            yield partial
+            os.replace(partial, out)
+    except _TakenError as error:
+        raise RunError(
+            f"{out}: is being written by another command; choose another --out"
+        ) from error
     except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):  # a folder that was there before, or holds something by now

@@ -63,6 +63,16 @@ def test_a_partial_run_that_a_power_cut_left_is_replaced(tmp_path):
     assert list((tmp_path / "run").iterdir()) == []
 
 
+def test_a_partial_run_that_another_command_writes_is_left_alone(tmp_path):
+    out = tmp_path / "run"
+    with new_run(out) as partial:
+        (partial / "a").write_text("x")
+        with pytest.raises(RunError, match="run: is being written by another command"):
+            new_run(out).__enter__()
+        assert (partial / "a").read_text() == "x"
+    assert (out / "a").read_text() == "x"
+
+
 def test_a_file_in_the_way_of_a_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
     with (
