@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import kernel, part
+from frontend.compiled import kernel, merged, part
 from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
 from frontend.evidence_kernels import (
     DOUBTED_PAIRS,
@@ -244,7 +244,7 @@ def settle(
     return size, count
 
 
-@part
+@merged
 def settle_by_prior(
     source_points,
     source_lines,
@@ -339,7 +339,7 @@ def settle_by_prior(
     return size, total
 
 
-@part
+@merged
 def settle_from_many(
     source_points,
     source_lines,

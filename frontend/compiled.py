@@ -61,3 +61,12 @@ def allocating_part(function: Callable[..., Any]) -> Any:
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile a `part` into each of its callers: for what is called once a beam."""
     return _Part(function, {**_BARE, "forceinline": True})
+
+
+def merged(function: Callable[..., Any]) -> Any:
+    """Merge a function into its caller before that is compiled: no call, no arguments.
+
+    Worth it for a long function with one caller: as a `part` its machine code is made once for
+    itself and once more for every function above it.
+    """
+    return _Part(function, {**_BARE, "inline": "always"})

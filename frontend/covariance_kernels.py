@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import allocating_part, part
+from frontend.compiled import allocating_part, merged, part
 from frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
 
 
@@ -87,7 +87,7 @@ def own_information(system, gradient, variance, floor_trans, floor_rot, informat
             information[i, j] = 0.5 * (product[i, j] + product[j, i])
 
 
-@allocating_part
+@merged
 def combine(information, known, covariance):
     """(3, 3) covariance of match and prior together; `known` is the prior's information."""
     total = np.empty((3, 3))
@@ -97,7 +97,7 @@ def combine(information, known, covariance):
     invert3(total, covariance)
 
 
-@part
+@merged
 def weakest_axis(information, known):
     """Direction (rad) of the translation that the match knows worst, and by what ratio.
 

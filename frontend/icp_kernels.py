@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import inlined, part
+from frontend.compiled import inlined, merged, part
 from frontend.scan_kernels import LINE, VALID
 
 # A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
@@ -281,7 +281,7 @@ def eigen2(a, b, c):
     return half - root, half + root, 0.5 * np.arctan2(2.0 * b, a - c) + 0.5 * np.pi
 
 
-@part
+@merged
 def quiet_blind_axis(system):
     """Shrink the gradient along the axis that only noisy normals seem to see.
 
@@ -330,7 +330,7 @@ def solve3(a, g, step):
     return True
 
 
-@part
+@merged
 def gauss_newton(
     source_points,
     source_lines,

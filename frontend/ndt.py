@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import allocating_part, kernel
 from frontend.icp_kernels import solve3
 
 MIN_POINTS = 5  # a cell with fewer says nothing about its shape
 MIN_RATIO = 0.001  # smallest eigenvalue of a cell over its largest, as in the paper
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def build_cells(points, cell):
     """Gaussians of four grids of `cell` (m), shifted by half a cell against each other.
 
@@ -23,9 +23,13 @@ def build_cells(points, cell):
         (cells, origin, shape): (4, rows * columns, 5) mean x, y and inverse covariance xx, xy,
         yy (all 0 where a cell is empty), the first grid's corner (2,), and (rows, columns).
     """
-    low_x, low_y = points[:, 0].min() - cell, points[:, 1].min() - cell
-    columns = int((points[:, 0].max() - low_x) / cell) + 2
-    rows = int((points[:, 1].max() - low_y) / cell) + 2
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(points)):
+        low_x, low_y = min(low_x, points[k, 0]), min(low_y, points[k, 1])
+        high_x, high_y = max(high_x, points[k, 0]), max(high_y, points[k, 1])
+    low_x, low_y = low_x - cell, low_y - cell
+    columns = int((high_x - low_x) / cell) + 2
+    rows = int((high_y - low_y) / cell) + 2
     sums = np.zeros((4, rows * columns, 6))
     for k in range(len(points)):
         for grid in range(4):
@@ -60,14 +64,18 @@ def build_cells(points, cell):
             cells[grid, at, 0], cells[grid, at, 1] = mx + low_x, my + low_y
             cells[grid, at, 2], cells[grid, at, 3] = yy / det, -xy / det
             cells[grid, at, 4] = xx / det
-    return cells, np.array([low_x, low_y]), (rows, columns)
+    origin = np.empty(2)
+    origin[0], origin[1] = low_x, low_y
+    return cells, origin, (rows, columns)
 
 
-@njit(cache=True, nogil=True)
+@allocating_part
 def _derivatives(cells, origin, columns, rows, cell, source, pose, gradient, hessian):
     """Fill gradient (3,) and Hessian (3, 3) of minus the score (Equations 8 to 12); the score."""
-    gradient[:] = 0.0
-    hessian[:] = 0.0
+    for k in range(3):
+        gradient[k] = 0.0
+        for m in range(3):
+            hessian[k, m] = 0.0
     score = 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
     jacobian = np.zeros((2, 3))
@@ -103,7 +111,7 @@ def _derivatives(cells, origin, columns, rows, cell, source, pose, gradient, hes
     return score
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ndt(cells, origin, shape, cell, source, pose, iterations, tolerance):
     """Newton's method on minus the score from `pose` (3,), overwritten; (last step, iterations).
 
@@ -129,17 +137,19 @@ def ndt(cells, origin, shape, cell, source, pose, iterations, tolerance):
         else:
             return np.inf, iteration + 1
         length = np.sqrt(step[0] ** 2 + step[1] ** 2)
-        step *= min(1.0, 0.5 * cell / max(length, 1e-12), 0.2 / max(abs(step[2]), 1e-12))
+        shorten = min(1.0, 0.5 * cell / max(length, 1e-12), 0.2 / max(abs(step[2]), 1e-12))
         for _ in range(6):
             for k in range(3):
+                step[k] *= shorten
                 trial[k] = pose[k] + step[k]
             after = _derivatives(
                 cells, origin, columns, rows, cell, source, trial, spare_g, spare_h
             )
             if after >= score:
                 break
-            step *= 0.5
-        pose[:] = trial
+            shorten = 0.5
+        for k in range(3):
+            pose[k] = trial[k]
         size = max(abs(step[0]) + abs(step[1]), 5.0 * abs(step[2]))
         if size < tolerance:
             return size, iteration + 1

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from frontend.compiled import allocating_part, kernel, part
 from frontend.scan_kernels import VALID
 
 MAX_ERROR = 1.0  # m, range differences beyond are other objects (PM_MAX_ERROR)
@@ -13,14 +13,15 @@ SEARCH = 0.35  # rad, half width of the orientation search
 LARGEST_GAP = 0.35  # m between neighbours that belong to one surface
 
 
-@njit(cache=True, nogil=True)
+@part
 def project(source_points, source_flags, geometry, n, pose, ranges):
     """Ranges (n,) of the source as seen from the reference, at its bearings; nan where unseen.
 
     Neighbouring points of one surface are joined by straight pieces; of surfaces behind each
     other the nearer one counts, and surfaces seen from behind do not.
     """
-    ranges[:] = np.nan
+    for k in range(n):
+        ranges[k] = np.nan
     angle_min, step = geometry[0], geometry[1]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     last_r, last_k = -1.0, 0.0
@@ -47,12 +48,12 @@ def project(source_points, source_flags, geometry, n, pose, ranges):
         last_r, last_k, last_x, last_y = r, k, x, y
 
 
-@njit(cache=True, nogil=True)
+@allocating_part
 def _turn(reference, ranges, step):
     """The turn (rad) that makes the ranges agree best, by a search and a parabola (section 2.3)."""
     n = len(reference)
     most = min(int(np.ceil(SEARCH / step)), n - 1)  # beyond, no beam has a partner
-    errors = np.full(2 * most + 1, np.inf)
+    errors = np.empty(2 * most + 1)
     for shift in range(-most, most + 1):
         total, count = 0.0, 0
         for k in range(max(0, -shift), min(n, n - shift)):
@@ -60,9 +61,11 @@ def _turn(reference, ranges, step):
             if not np.isnan(difference):
                 total += min(difference, MAX_ERROR)
                 count += 1
-        if count > 0.3 * n:
-            errors[shift + most] = total / count
-    best = int(np.argmin(errors))
+        errors[shift + most] = total / count if count > 0.3 * n else np.inf
+    best = 0
+    for k in range(1, len(errors)):
+        if errors[k] < errors[best]:
+            best = k
     if not np.isfinite(errors[best]):
         return 0.0
     offset = 0.0
@@ -74,7 +77,7 @@ def _turn(reference, ranges, step):
     return (best - most + offset) * step
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def psm(source_points, source_flags, reference, geometry, pose, iterations, tolerance):
     """Move `pose` (3,) of the source in the reference's frame; (last step in m, iterations).
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import allocating_part, inlined, kernel, part
+from frontend.compiled import inlined, kernel, merged, part
 
 HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
 # Squared residuals of a line through k + 2 points, in units of the noise's variance, that noise
@@ -104,7 +104,7 @@ def _normal(xx, yy, xy):
     return (-xy, longer) if half >= 0.0 else (longer, -xy)
 
 
-@allocating_part
+@merged
 def fit_lines(points, flags, geometry, noise, tolerance, gap_ratio, sigma_max, lines, windows):
     """Fit to every valid beam the longest straight window around it; fills lines and windows.
 

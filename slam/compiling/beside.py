@@ -1,7 +1,6 @@
 """Compiles half of the kernels in a second process, whose program this module is.
 
 Both leave what they compile in the cache on disk, where each finds what the other has made.
-Kernels that both should compile at the same time would be the same, and the files the same.
 """
 
 from __future__ import annotations

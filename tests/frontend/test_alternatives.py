@@ -5,9 +5,10 @@ import pytest
 from gtsam import Pose2
 
 from drivers.simulators.laser import LaserConfig
+from frontend import psm
+from frontend.compiled import kernel
 from frontend.matching import MatchConfig, Reference, match
 from frontend.ndt import build_cells
-from frontend.psm import project
 from tests.frontend.scans import (
     ALL_ROUND,
     FINE,
@@ -25,6 +26,7 @@ MOTIONS = [Pose2(0.2, 0.03, 0.1), Pose2(-0.15, 0.05, -0.12), Pose2(0.0, 0.0, 0.1
 # are whole beams refined by a parabola, which turns and shifts along a wall take from each other.
 ACCURACY = {"point_to_point": 0.08, "ndt": 0.05, "psm": 0.12}
 METHODS = sorted(ACCURACY)
+project = kernel(psm.project.py_func)
 
 
 @pytest.mark.parametrize("method", METHODS)
