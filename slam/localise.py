@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from backend.pose_graph import Edge, PoseGraph
 from frontend.matching import MatchConfig, Prior, Reference, match
@@ -58,6 +57,13 @@ def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
     return Prior(guess, np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2)
 
 
+def _kd_tree(points: Matrix) -> Any:
+    """A search tree over points (n, d); what it needs takes a quarter of a second to import."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
 def refine_edges(
     keyframes: Sequence[Keyframe], graph: PoseGraph, config: LocaliseConfig, matcher: MatchConfig
 ) -> list[Edge]:
@@ -68,7 +74,7 @@ def refine_edges(
     """
     poses = graph.poses
     centres = view_centres(keyframes, poses)
-    tree = cKDTree(centres)
+    tree = _kd_tree(centres)
     edges = []
     for keyframe in keyframes:
         k = keyframe.index
@@ -116,7 +122,7 @@ class ScanLocaliser:
     ) -> None:  # fmt: skip
         self._keyframes = keyframes
         self._poses = [Pose2(*pose) for pose in poses]
-        self._tree = cKDTree(np.hstack([view_centres(keyframes, poses), poses[:, :2]]))
+        self._tree = _kd_tree(np.hstack([view_centres(keyframes, poses), poses[:, :2]]))
         self._config = config
         self._matcher = matcher
         self._last: _Located | None = None

@@ -32,7 +32,9 @@ def _in_the_room(config: SlamConfig) -> SlamConfig:
         name: getattr(shipped, name).model_copy(update={"method": getattr(config, name).method})
         for name in ("matcher", "keyframes")
     }
-    return shipped.model_copy(update={"loops": loops, **methods})
+    # No other kernel finds every scan its place, but a search tree, whose import takes its time.
+    localise = shipped.localise.model_copy(update={"every_scan": False})
+    return shipped.model_copy(update={"loops": loops, "localise": localise, **methods})
 
 
 def _drive() -> list[Message]:
