@@ -14,7 +14,7 @@ _SCANS = 40
 
 
 def warm_up(config: SlamConfig) -> None:
-    """Map an imaginary room; takes some 15 s the first time, and half a second ever after.
+    """Map an imaginary room; takes some 20 s the first time, and half a second ever after.
 
     The room is driven to and fro once; a leap of the odometry calls for the search.
     """
