@@ -9,7 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 
-from backend.batch import FactorMaker, GraphConfig, optimise, values_of
+from backend.batch import SUSPICIOUS, FactorMaker, GraphConfig, optimise, values_of
 from backend.edges import Edge, GraphError, Matrix, relative_covariance
 from backend.thinning import Thinned, thinned
 
@@ -137,6 +137,11 @@ class PoseGraph:
     def weight(self, edge: Edge) -> Matrix:
         """(3, 3) information with which an edge is optimised."""
         return self._maker.weight(edge)
+
+    def agrees(self, edge: Edge) -> bool:
+        """Whether an edge, in the graph or not, fits where the poses are now."""
+        error = edge.residual(self.poses)
+        return float(error @ self.weight(edge) @ error) <= SUSPICIOUS
 
     def marginal(self, k: int) -> Matrix:
         """(3, 3) covariance of map_T_k in its own frame."""

@@ -64,6 +64,7 @@ class _Tie:
     i_T_j: Pose2
     information: Matrix  # (3, 3), in frame j
     agrees: bool  # with where the graph has both
+    firm: bool  # without the odometry's word, which may be a lie, it would not be much weaker
 
     @property
     def knowledge(self) -> float:
@@ -99,8 +100,11 @@ def thinned(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: W
         anchors[v] = min(before, key=lambda i: (float(np.hypot(*(poses[i] - poses[v])[:2])), i))
         first, tie = _best({i: _combined(told, poses, weight) for i, told in before.items()})
         for j, told in after.items():
-            kind: Kind = "loop" if all(edge.kind == "loop" for edge in told) else "icp"
-            new = _joined(tie, _combined(told, poses, weight)).edge(kind, first, j)
+            through = _joined(tie, _combined(told, poses, weight))
+            kind: Kind = "icp" if through.firm else "odometry"
+            if all(edge.kind == "loop" for edge in told):
+                kind = "loop"
+            new = through.edge(kind, first, j)
             if j in leaving:
                 touching[j].append(new)
             else:
@@ -126,17 +130,23 @@ def _best(ties: dict[int, _Tie]) -> tuple[int, _Tie]:
 def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Tie:
     """What edges between the same two poses say together."""
     known = Pose2(*poses[edges[0].i]).between(Pose2(*poses[edges[0].j]))
-    total, pull = _RIDGE * np.eye(3), np.zeros(3)
+    total, pull, matched = _RIDGE * np.eye(3), np.zeros(3), np.zeros((3, 3))
     for edge in edges:
         information = weight(edge)
         total = total + information
+        if edge.kind != "odometry":
+            matched = matched + information
         pull = pull + information @ Pose2.Logmap(known.between(edge.i_T_j))
     error = np.linalg.solve(total, pull)
-    return _Tie(known * Pose2.Expmap(error), total, float(error @ total @ error) <= SUSPICIOUS)
+    firm = np.linalg.eigvalsh(matched)[0] > 0.5 * np.linalg.eigvalsh(total)[0]
+    agrees = float(error @ total @ error) <= SUSPICIOUS
+    return _Tie(known * Pose2.Expmap(error), total, agrees, bool(firm))
 
 
 def _joined(a: _Tie, b: _Tie) -> _Tie:
     """One tie behind the other."""
     back = b.i_T_j.inverse().AdjointMap()
     covariance = back @ np.linalg.inv(a.information) @ back.T + np.linalg.inv(b.information)
-    return _Tie(a.i_T_j * b.i_T_j, np.linalg.inv(covariance), a.agrees and b.agrees)
+    return _Tie(
+        a.i_T_j * b.i_T_j, np.linalg.inv(covariance), a.agrees and b.agrees, a.firm and b.firm
+    )

@@ -75,8 +75,13 @@ class Linker:
         return track(
             references, prepared, Prior(stretch.moved, self._odometry_covariance(stretch)),
             starts_in_doubt(stretch.moved, stretch.seconds, self._last_step), plausible,
-            self._config.tracking, self._config.matcher,
+            self._goes_on(stretch.moved), self._config.tracking, self._config.matcher,
         )  # fmt: skip
+
+    def _goes_on(self, moved: Pose2) -> bool:
+        """Whether the robot moves on the way it went before, forwards or backwards."""
+        last = self._last_step
+        return last is not None and last[0].x() * moved.x() + last[0].y() * moved.y() > 0.0
 
     def link(self, stretch: Stretch, tracked: Tracked, new: int) -> Link:
         """Factors of odometry and match to keyframe `new`; what is refused is told, not used."""

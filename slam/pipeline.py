@@ -308,6 +308,7 @@ class Slam:
         if self._closing_due is None or self.graph is None:
             return
         self._closing_due = None
+        refuted = len(self.loops.refuted)
         with self._watch("closing"):
             closures = self.loops.close(self.keyframes, self.graph)
         least = self.config.loops.least_gain
@@ -317,6 +318,8 @@ class Slam:
                 self.graph.add_edges(telling)
             self.loops.moved()
         self.graph.add_edges_batch([c.edge for c in closures if c.gain < least])
+        told = [*closures, *self.loops.refuted[refuted:]]
+        self._thinner.add_closures(candidate.edge for candidate in told)
         for closure in closures:
             self.records.add_edge(self.keyframes[-1].scan.stamp_ns, closure.edge, True, "")
 

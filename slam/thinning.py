@@ -7,13 +7,14 @@ al. 2013, "Temporally scalable visual SLAM using a reduced pose graph").
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from backend.edges import Edge
 from backend.pose_graph import PoseGraph
 from backend.thinning import Renumbered, Thinned
 from slam.keyframe import Keyframe, placed
@@ -90,6 +91,15 @@ class Thinner:
         self._judged = 1  # keyframes, so far; the graph hangs on the first
         self._centres = array("d")
         self._spare: list[int] = []
+        # Of keyframes not judged yet, also those that were refused for the graph as it was.
+        self._closures: dict[int, list[Edge]] = {}
+        self._sound = False  # whether the graph agrees with the last closures passed
+
+    def add_closures(self, edges: Iterable[Edge]) -> None:
+        """Hear of closures, whether believed or refuted by the graph."""
+        for edge in edges:
+            if edge.j >= self._judged:
+                self._closures.setdefault(edge.j, []).append(edge)
 
     def begin_at(self, keyframe: int) -> None:
         """Keep all before this one."""
@@ -108,7 +118,12 @@ class Thinner:
         while (k := self._judged) < len(keyframes):
             if now_m - keyframes[k].travelled_m <= self._old_m:
                 break
-            if keyframes[k].scan_index not in doubted and self._is_spare(keyframes, graph, k):
+            if edges := self._closures.pop(k, None):
+                self._sound = all(graph.agrees(edge) for edge in edges)
+            if (
+                self._sound and keyframes[k].scan_index not in doubted
+                and self._is_spare(keyframes, graph, k) and self._sound_ahead(graph)
+            ):  # fmt: skip
                 self._spare.append(k)
             self._judged += 1
         return len(self._spare) >= max(self._config.at_once, self._config.share * len(keyframes))
@@ -121,8 +136,22 @@ class Thinner:
             self.places.add(keyframes[k].scan_index, anchor, there)
         self.places.renumber(left.index)
         self._judged -= len(self._spare)
+        old = sorted((j, edges) for j, edges in self._closures.items() if left.index.stays[j])
+        self._closures = {}
+        for _, edges in old:
+            self.add_closures(
+                edge.renamed(left.index(edge.i), left.index(edge.j))
+                for edge in edges
+                if left.index.stays[edge.i]
+            )
         self._centres, self._spare = array("d"), []
         return smaller, left
+
+    def _sound_ahead(self, graph: PoseGraph) -> bool:
+        """Whether the graph agrees with the next closures, too: then nothing is wrong between."""
+        if not self._closures:
+            return False
+        return all(graph.agrees(edge) for edge in self._closures[min(self._closures)])
 
     def _is_spare(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
         """Whether enough others show the same, and the graph is sure that they do."""

@@ -85,6 +85,7 @@ def track(
     prior: Prior,
     alternatives: Sequence[tuple[str, Pose2]],
     plausible: bool,
+    goes_on: bool,
     config: TrackingConfig,
     matcher: MatchConfig,
 ) -> Tracked:
@@ -96,6 +97,7 @@ def track(
         prior: the odometry's step from the last keyframe.
         alternatives: other starting points by name, tried when odometry looks wrong.
         plausible: whether the odometry's step is one that the robot can make.
+        goes_on: whether it leads the way that the robot went before.
         config: thresholds.
         matcher: of the scan matcher.
     """
@@ -104,7 +106,7 @@ def track(
     agreed = first.converged and disagreement(first, prior) < limit
     good = first.explained >= config.good_explained and first.quality >= config.good_quality
     if plausible and agreed and good:
-        if not _surpassed(first, references, source, alternatives, config, matcher):
+        if not _surpassed(first, references, source, alternatives, goes_on, config, matcher):
             return Tracked(first, True, True, "")
     best, start = first, "odometry"
     for name, guess in [("odometry", prior.target_T_source), *alternatives]:
@@ -153,7 +155,8 @@ def starts_in_doubt(
 
 def _surpassed(
     first: MatchResult, references: Sequence[Reference], source: PreparedScan,
-    alternatives: Sequence[tuple[str, Pose2]], config: TrackingConfig, matcher: MatchConfig,
+    alternatives: Sequence[tuple[str, Pose2]], goes_on: bool, config: TrackingConfig,
+    matcher: MatchConfig,
 ) -> bool:  # fmt: skip
     """Whether another start explains the scan clearly better, though odometry and match agree.
 
@@ -174,7 +177,7 @@ def _surpassed(
         step = first.target_T_source.between(rival.target_T_source)
         if np.hypot(step.x(), step.y()) < APART_M or _quality(rival) < alone:
             continue
-        unseen = _unseen(references, source, first.target_T_source)
+        unseen = _unseen(references, source, first.target_T_source) if goes_on else 0.0
         if _quality(found(guess, references)) > config.margin * (first.quality + unseen):
             return True
     return False

@@ -101,6 +101,14 @@ def test_a_closure_to_a_pose_that_goes_ends_at_its_anchor_and_stays_a_closure():
     assert left.made == left.edges[1:]
 
 
+def test_where_the_wheels_alone_tell_the_new_edge_is_as_open_to_doubt_as_their_word():
+    blind = told("icp", 1, 2, information=np.diag([0.0, 1e4, 1e5]))
+    edges = [told("icp", 0, 1), blind, told("odometry", 1, 2, information=WHEELS)]
+    assert thinned(edges, rows(POSES), [1], FactorMaker(CONFIG).weight).made[0].kind == "odometry"
+    sure = [told("icp", 0, 1), told("icp", 1, 2), told("odometry", 1, 2, information=WHEELS)]
+    assert thinned(sure, rows(POSES), [1], FactorMaker(CONFIG).weight).made[0].kind == "icp"
+
+
 def test_an_edge_that_is_blind_on_an_axis_hands_on_what_it_sees():
     edges = [told("icp", 0, 1, information=np.diag([0.0, 1e4, 1e5])), told("icp", 1, 2)]
     (edge,) = thinned(edges, rows(POSES), [1], FactorMaker(CONFIG).weight).made

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 
+from backend.edges import Edge
 from backend.thinning import Renumbered
 from drivers.simulators.drive import simulate
 from drivers.simulators.worlds import scenario
@@ -181,12 +182,31 @@ def test_without_former_places_the_keyframes_are_all_there_is():
     np.testing.assert_array_equal(where, poses)
 
 
+def dispensable(slam, doubted=(), closures=None):
+    """Whether the thinner finds enough dispensable keyframes in a graph that has all."""
+    thinner = Thinner(ThinningConfig(enough=2, within_m=0.8, at_once=12, share=0.0), 8.0)
+    loops = [edge for edge in slam.graph.edges if edge.kind == "loop"]
+    thinner.add_closures(loops if closures is None else closures(loops))
+    return thinner.due(slam.keyframes, slam.graph, set(doubted))
+
+
 def test_a_keyframe_to_which_the_odometry_did_not_lead_is_kept(whole):
-    slam = whole.slam
-    everything = {k.scan_index for k in slam.keyframes}
-    config = ThinningConfig(enough=2, within_m=0.8, at_once=12, share=0.0)
-    assert Thinner(config, 8.0).due(slam.keyframes, slam.graph, set())
-    assert not Thinner(config, 8.0).due(slam.keyframes, slam.graph, everything)
+    assert dispensable(whole.slam)
+    assert not dispensable(whole.slam, [k.scan_index for k in whole.slam.keyframes])
+
+
+def test_where_no_closure_has_shown_that_all_is_well_everything_is_kept(whole):
+    assert not dispensable(whole.slam, closures=lambda loops: [])
+
+
+def test_where_the_graph_contradicts_a_closure_everything_is_kept(whole):
+    """A match that slid, or wheels that lied: it may still be found out."""
+
+    def contradicted(loops):
+        off = Pose2(0.3, 0.0, 0.0)
+        return [Edge("loop", e.i, e.j, e.i_T_j * off, e.information) for e in loops]
+
+    assert not dispensable(whole.slam, closures=contradicted)
 
 
 def test_a_single_pass_loses_nothing():
