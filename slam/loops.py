@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial import cKDTree
 
 from backend.pose_graph import Edge, PoseGraph
 from backend.thinning import Renumbered
@@ -132,9 +131,9 @@ class LoopCloser:
         """Anchors of old places that the newest keyframe may be at, the likeliest first."""
         newest = keyframes[-1]
         stride = max(1, self.config.target_half)
-        for k in keyframes[len(self._anchors_m) * stride :: stride]:
-            self._anchors_m.append(k.travelled_m)
-            self._looks_at.append((float(k.centre[0]), float(k.centre[1])))
+        for keyframe in keyframes[len(self._anchors_m) * stride :: stride]:
+            self._anchors_m.append(keyframe.travelled_m)
+            self._looks_at.append((float(keyframe.centre[0]), float(keyframe.centre[1])))
         count = bisect_left(self._anchors_m, newest.travelled_m - self.config.min_path_m)
         if not count:
             return []
@@ -143,11 +142,8 @@ class LoopCloser:
         here = view_centres([newest], graph.poses[newest.index :])[0]
         sigma = float(np.sqrt(np.linalg.eigvalsh(graph.marginal(newest.index)[:2, :2])[-1]))
         reach = min(3 * sigma, self.config.search.max_reach) + self.config.view_m
-        tree = cKDTree(centres)
-        near = sorted(
-            tree.query_ball_point(here, reach),
-            key=lambda k: (float(np.hypot(*(centres[k] - here))), k),
-        )
+        away = np.hypot(*(centres - here).T)
+        near = sorted(np.flatnonzero(away <= reach).tolist(), key=lambda k: (away[k], k))
         chosen: list[int] = []
         for k in near:
             apart = [np.hypot(*(centres[other] - centres[k])) for other in chosen]
