@@ -43,8 +43,8 @@ def bench_memory(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     seconds = 360.0 if quick else 3600.0
     rows = []
     for name, drives in (("standing", False), ("driving", True)):
-        samples = [dict(zip(("s", "rss_mb", "keyframes"), s, strict=True))
-                   for s in _run(seconds, drives, say)]  # fmt: skip
+        names = ("s", "rss_mb", "keyframes", "thinned_out")
+        samples = [dict(zip(names, s, strict=True)) for s in _run(seconds, drives, say)]
         rows.append(_row(name, samples) | {"samples": samples})
     return {"meta": {"beams": 1081, "scan_hz": 40}, "rows": rows}
 
@@ -52,22 +52,20 @@ def bench_memory(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
 def _row(name: str, samples: list[dict[str, float]]) -> dict[str, Any]:
     """Growth by least squares over all but the first tenth, when things are still being set up."""
     settled = samples[len(samples) // 10 :]
-    t, rss, keyframes = (np.array([s[k] for s in settled]) for k in ("s", "rss_mb", "keyframes"))
+    t, rss = (np.array([s[k] for s in settled]) for k in ("s", "rss_mb"))
     growth = float(np.polyfit(t, rss, 1)[0]) * 3600.0
-    made = float(keyframes[-1] - keyframes[0])
-    grown_mb = growth * float(t[-1] - t[0]) / 3600.0
     return {
         "run": name, "minutes": round(samples[-1]["s"] / 60.0, 1),
-        "keyframes": int(keyframes[-1]), "rss_mb_first": round(float(rss[0]), 1),
-        "rss_mb_last": round(float(rss[-1]), 1), "growth_mb_per_hour": round(growth, 1),
-        "kb_per_keyframe": round(1e3 * grown_mb / made, 1) if made else 0.0,
+        "keyframes": int(samples[-1]["keyframes"]), "thinned_out": int(samples[-1]["thinned_out"]),
+        "rss_mb_first": round(float(rss[0]), 1), "rss_mb_last": round(float(rss[-1]), 1),
+        "growth_mb_per_hour": round(growth, 1),
     }  # fmt: skip
 
 
 def _run(
     seconds: float, drives: bool, say: Callable[[str], None]
-) -> Iterator[tuple[float, float, int]]:
-    """Yield seconds, memory in MB and keyframes, once in a minute of simulation."""
+) -> Iterator[tuple[float, float, int, int]]:
+    """Yield seconds, memory in MB, keyframes and those thinned out, once in a simulated minute."""
     with tempfile.TemporaryDirectory(prefix="slam-memory-") as folder:
         plan = replace(OFFICE, passes=int(np.ceil(seconds / _PASS_S)))
         robot = SimulatedRobot(Path(folder), plan)
@@ -88,7 +86,8 @@ def _run(
                     feed(slam, taken.message)
                 if now_s >= due_s:
                     due_s += _SAMPLE_S
-                    sample = now_s, _rss_mb(), len(slam.keyframes)
+                    gone = slam.records.thinned_out["keyframes"]
+                    sample = now_s, _rss_mb(), len(slam.keyframes), gone
                     say(f"{now_s / 60:.0f} min: {sample[1]:.0f} MB, {sample[2]} keyframes")
                     yield sample
 
