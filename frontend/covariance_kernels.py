@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import allocating_part, merged, part
+from frontend.compiled import kernel, merged, part
 from frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
 
 
@@ -34,7 +34,7 @@ def multiply3(a, b, out):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@allocating_part
+@kernel
 def own_information(system, gradient, variance, floor_trans, floor_rot, information):
     """(3, 3) information of the match alone, with what noisy normals feign taken out.
 

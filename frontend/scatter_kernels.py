@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from frontend.compiled import allocating_part, part
+from frontend.compiled import kernel, part
 from frontend.icp_kernels import in_reference
 from frontend.scan_kernels import LINE
 
@@ -21,7 +21,7 @@ def add_outer(out, weight, x, y, t):
     out[5] += weight * t * t
 
 
-@allocating_part
+@kernel
 def scatter(
     source_points,
     source_geometry,

@@ -16,8 +16,11 @@ from gtsam import Pose2
 
 from frontend.align_kernels import align
 from frontend.correlative import CorrelativeConfig, Window, build_field, search
+from frontend.covariance_kernels import own_information
+from frontend.icp_kernels import SYSTEM
 from frontend.matching import MatchConfig, Reference, match
 from frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
+from frontend.scatter_kernels import scatter
 from logs.messages import LaserMount
 from slam.compiling.imaginary_room import measure_room
 from slam.occupancy import build_map
@@ -58,10 +61,22 @@ def compile_matcher() -> None:
 
 
 def compile_share() -> None:
-    """Call each kernel besides the matcher's as the pipeline does."""
+    """Call each kernel of this share as the pipeline and the matcher do.
+
+    First those that the matcher needs last; the rest is for later.
+    """
+    scan = blank_scan()
+    starts, geometries, _ = scan.alone
+    places, partners = np.zeros((1, 3)), np.full((1, len(scan.points)), -1, np.int32)
+    gradient = np.zeros(6)
+    scatter(
+        scan.points, scan.geometry, scan.points, scan.lines, scan.windows, scan.flags, starts,
+        geometries, 0.01, places, places[0], partners, 0.04, gradient,
+    )  # fmt: skip
+    own_information(np.zeros(SYSTEM), gradient, 1e-4, 0.0, 0.0, np.empty((3, 3)))
     room = measure_room(0, 0.0)
     seen = prepare(room, LaserMount(0, 0.0, 0.0, 0.0), ScanConfig())
-    points = np.ascontiguousarray(seen.points)
+    points = seen.points.copy()  # which may be written to, as those of a submap
     search(build_field(points, CorrelativeConfig()), points, Window(Pose2(), 0.5, 0.1), 0.1)
     build_map([room], np.zeros((1, 3)))
 
