@@ -47,7 +47,8 @@ def test_closures_are_judged_by_the_truth(square):
         FactorRecord(0, "icp", 1, 2, 9.0, 0.0, 0.0, tuple(np.eye(3).ravel())),
     ]
     keyframes = [SimpleNamespace(travelled_m=float(p)) for p in path]
-    result = SimpleNamespace(slam=SimpleNamespace(factors=factors, keyframes=keyframes))
+    records = SimpleNamespace(factors=factors)
+    result = SimpleNamespace(slam=SimpleNamespace(records=records, keyframes=keyframes))
     judged = judged_closures(result, true)
     assert judged["closures"] == 3
     assert judged["false_closures"] == 2
