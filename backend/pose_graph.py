@@ -9,7 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 
-from backend.batch import SUSPICIOUS, FactorMaker, GraphConfig, optimise, values_of
+from backend.batch import SUSPICIOUS, FactorMaker, GraphConfig, chi_squares, optimise, values_of
 from backend.edges import Edge, GraphError, Matrix, relative_covariance
 from backend.thinning import Thinned, thinned
 
@@ -140,8 +140,7 @@ class PoseGraph:
 
     def agrees(self, edge: Edge) -> bool:
         """Whether an edge, in the graph or not, fits where the poses are now."""
-        error = edge.residual(self.poses)
-        return float(error @ self.weight(edge) @ error) <= SUSPICIOUS
+        return bool(chi_squares(self.poses, [edge], self._maker)[0] <= SUSPICIOUS)
 
     def marginal(self, k: int) -> Matrix:
         """(3, 3) covariance of map_T_k in its own frame."""

@@ -36,6 +36,14 @@ class Renumbered:
         """The new index of one that stays; of one that is gone, that of the last before it."""
         return int(self._index[k])
 
+    def keeps(self, i: int, j: int) -> bool:
+        """Whether both stay."""
+        return bool(self.stays[i] and self.stays[j])
+
+    def renamed(self, edge: Edge) -> Edge:
+        """An edge between two that stay, under their new indices."""
+        return edge.renamed(self(edge.i), self(edge.j))
+
     def all(self, indices: NDArray[np.int64]) -> NDArray[np.int64]:
         """The same for several."""
         renumbered: NDArray[np.int64] = self._index[indices]
@@ -109,9 +117,9 @@ def thinned(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: W
                 touching[j].append(new)
             else:
                 made.append(new)
-    untouched = [edge for edge in edges if edge.i not in leaving and edge.j not in leaving]
     index = Renumbered(len(poses), gone)
-    left = [edge.renamed(index(edge.i), index(edge.j)) for edge in (*untouched, *made)]
+    untouched = [edge for edge in edges if index.keeps(edge.i, edge.j)]
+    left = [index.renamed(edge) for edge in (*untouched, *made)]
     return Thinned(untouched, left, anchors, index)
 
 

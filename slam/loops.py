@@ -95,9 +95,12 @@ class LoopCloser:
         self._searcher.forget()
         self._looks_at, self._anchors_m = [], []
         self.refuted = _left(self.refuted, index)
+        waited = len(self._pending)
         self._pending = _left(self._pending, index)
         self.verdicts, gone = pairs_left(self.verdicts, index)
-        return Counter("accepted" if verdict.accepted else "rejected" for verdict in gone)
+        counts = Counter("accepted" if verdict.accepted else "rejected" for verdict in gone)
+        counts["rejected"] += waited - len(self._pending)  # no verdict will come
+        return counts
 
     @property
     def searching(self) -> bool:
@@ -283,7 +286,7 @@ class LoopCloser:
 def _left(candidates: Sequence[Candidate], index: Renumbered) -> list[Candidate]:
     """Those between keyframes that stay, under their new indices."""
     return [
-        replace(c, edge=replace(c.edge, i=index(c.edge.i), j=index(c.edge.j)))
+        replace(c, edge=index.renamed(c.edge))
         for c in candidates
-        if index.stays[c.edge.i] and index.stays[c.edge.j]
+        if index.keeps(c.edge.i, c.edge.j)
     ]

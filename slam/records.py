@@ -94,7 +94,7 @@ def pairs_left(pairs: Iterable[Pair], index: Renumbered) -> tuple[list[Pair], li
     """Records between keyframes that stay, under their new indices; and the others."""
     left, gone = [], []
     for pair in pairs:
-        if index.stays[pair.i] and index.stays[pair.j]:
+        if index.keeps(pair.i, pair.j):
             left.append(replace(pair, i=index(pair.i), j=index(pair.j)))
         else:
             gone.append(pair)

@@ -27,14 +27,18 @@ class _TakenError(Exception):
 def _claimed(partial: Path) -> Iterator[None]:
     """Make the directory, instead of what a command that was cut off has left, and lock it.
 
-    The lock ends with the process, however that ends.
+    The lock ends with the process, however that ends.  What is not ours is never removed.
     """
     if partial.exists():
         with _locked(partial):
             shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     with _locked(partial):
-        yield
+        try:
+            yield
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
 
 
 @contextmanager
@@ -70,7 +74,6 @@ def new_run(out: Path) -> Iterator[Path]:
             f"{out}: is being written by another command; choose another --out"
         ) from error
     except BaseException as error:
-        shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):  # a folder that was there before, or holds something by now
             for folder in missing:
                 folder.rmdir()

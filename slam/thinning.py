@@ -49,9 +49,6 @@ class FormerPlaces:
         self._scans, self._anchors = array("q"), array("q")
         self._poses = array("d")
 
-    def __len__(self) -> int:
-        return len(self._scans)
-
     def add(self, scan_index: int, anchor: int, anchor_T_it: Pose2) -> None:
         """Remember the scan of one, and its place with respect to a keyframe that stays."""
         self._scans.append(scan_index)
@@ -136,14 +133,13 @@ class Thinner:
             self.places.add(keyframes[k].scan_index, anchor, there)
         self.places.renumber(left.index)
         self._judged -= len(self._spare)
-        old = sorted((j, edges) for j, edges in self._closures.items() if left.index.stays[j])
-        self._closures = {}
-        for _, edges in old:
-            self.add_closures(
-                edge.renamed(left.index(edge.i), left.index(edge.j))
-                for edge in edges
-                if left.index.stays[edge.i]
-            )
+        known, self._closures = self._closures, {}
+        self.add_closures(
+            left.index.renamed(edge)
+            for edges in known.values()
+            for edge in edges
+            if left.index.keeps(edge.i, edge.j)
+        )
         self._centres, self._spare = array("d"), []
         return smaller, left
 

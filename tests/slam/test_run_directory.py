@@ -80,3 +80,17 @@ def test_a_file_in_the_way_of_a_folder_is_named(tmp_path):
         new_run(tmp_path / "file" / "run"),
     ):
         pytest.fail("the block must not be entered")
+
+
+def test_a_partial_run_that_appears_at_the_same_moment_is_left_alone(tmp_path, monkeypatch):
+    """Between the look and the making another command has made it."""
+    theirs = tmp_path / "run.partial"
+    theirs.mkdir()
+    (theirs / "a").write_text("x")
+    monkeypatch.setattr(type(theirs), "exists", lambda path: False)
+    with (
+        pytest.raises(RunError, match="run: cannot be written: File exists"),
+        new_run(tmp_path / "run"),
+    ):
+        pytest.fail("the block must not be entered")
+    assert (theirs / "a").read_text() == "x"
