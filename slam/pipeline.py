@@ -83,7 +83,7 @@ class Slam:
         self._choice = config.keyframes if config.loops.enabled else config.keyframes.open
         self._closing_due: int | None = None  # scan at which the loop search's result enters
         self._linker = Linker(config)
-        self._thinner = Thinner(config.thinning, config.loops.min_path_m)
+        self._thinner = Thinner(config.thinning, config.loops.min_path_m, beside)
         self._pairing = ScanPairing(config.scan.unbend)
         self._interval = Interval(0.0, None)
         self._latest: Sighting | None = None
@@ -264,7 +264,6 @@ class Slam:
             self.noted["keyframe postponed: scan too empty"] += 1
             return
         self._close_loops()
-        self._thin_out()
         assert self.graph is not None
         assert self._kept is not None
         stretch = Stretch(self._kept, sighting, ahead.suspected)
@@ -300,14 +299,22 @@ class Slam:
         self._keep(sighting, prepared, float(np.hypot(link.step.x(), link.step.y())))
         self._estimate(sighting.scan.stamp_ns, tracked.lost)
         with self._watch("closing"):
-            if self.loops.begin(self.keyframes, self.graph):
-                self._closing_due = sighting.index + CLOSING_SCANS
+            begun = self.loops.begin(self.keyframes, self.graph)
+        if not begun:
+            with self._watch("thinning"):
+                begun = self._thinner.begin(self.keyframes, self.graph, self.doubted)
+        if begun:
+            self._closing_due = sighting.index + CLOSING_SCANS
 
     def _close_loops(self) -> None:
-        """Let what the last loop search found enter the graph, which has not grown since."""
+        """Let what the last loop search found enter the graph, which has not grown since.
+
+        Or, where there was time for that instead, take the graph that was thinned out meanwhile.
+        """
         if self._closing_due is None or self.graph is None:
             return
         self._closing_due = None
+        self._thin_out()
         refuted = len(self.loops.refuted)
         with self._watch("closing"):
             closures = self.loops.close(self.keyframes, self.graph)
@@ -327,9 +334,10 @@ class Slam:
         """Go on as though dispensable keyframes had never been, but for where they were."""
         assert self.graph is not None
         with self._watch("thinning"):
-            if not self._thinner.due(self.keyframes, self.graph, self.doubted):
-                return
-            self.graph, thinned = self._thinner.thin(self.keyframes, self.graph)
+            made = self._thinner.take(self.keyframes, self.graph)
+        if made is None:
+            return
+        self.graph, thinned = made
         index = thinned.index
         self.records.forget(self.keyframes, index)
         self.records.thinned_out += self.loops.renumber(index)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Collection, Iterable, Sequence
+from concurrent.futures import Future
 
 import numpy as np
 from gtsam import Pose2
@@ -18,6 +19,7 @@ from backend.edges import Edge
 from backend.pose_graph import PoseGraph
 from backend.thinning import Renumbered, Thinned
 from slam.keyframe import Keyframe, placed
+from slam.loops_beside import Beside
 from slam.trajectory import compose
 
 Matrix = NDArray[np.float64]
@@ -80,11 +82,15 @@ class FormerPlaces:
 
 
 class Thinner:
-    """Judges each keyframe once, when it is old enough for loops, and parts with many at once."""
+    """Judges each keyframe once, when it is old enough for loops, and parts with many at once.
 
-    def __init__(self, config: ThinningConfig, old_m: float) -> None:
+    The smaller graph is made `beside` the step, as loop searches are: it takes a tenth of a second.
+    """
+
+    def __init__(self, config: ThinningConfig, old_m: float, beside: Beside) -> None:
         self.places = FormerPlaces()
-        self._config, self._old_m = config, old_m
+        self._config, self._old_m, self._beside = config, old_m, beside
+        self._making: Future[tuple[PoseGraph, Thinned]] | None = None
         self._judged = 1  # keyframes, so far; the graph hangs on the first
         self._centres = array("d")
         self._spare: list[int] = []
@@ -125,9 +131,23 @@ class Thinner:
             self._judged += 1
         return len(self._spare) >= max(self._config.at_once, self._config.share * len(keyframes))
 
-    def thin(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> tuple[PoseGraph, Thinned]:
-        """The graph without the dispensable ones, and what became of its edges."""
-        smaller, left = graph.without(self._spare)
+    def begin(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, doubted: Collection[int]
+    ) -> bool:
+        """Begin to make a smaller graph; False if it is not `due`.  None may change until taken."""
+        if not self.due(keyframes, graph, doubted):
+            return False
+        self._making = self._beside(graph.without, self._spare)
+        return True
+
+    def take(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph
+    ) -> tuple[PoseGraph, Thinned] | None:
+        """The graph without the dispensable ones, and what became of its edges; None: not begun."""
+        if self._making is None:
+            return None
+        smaller, left = self._making.result()
+        self._making = None
         for k, anchor in left.anchors.items():
             there = graph.pose(anchor).between(graph.pose(k))
             self.places.add(keyframes[k].scan_index, anchor, there)

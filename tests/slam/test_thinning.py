@@ -17,6 +17,7 @@ from slam.config import load_config
 from slam.live.frames import Feed
 from slam.live.news import News
 from slam.live.snapshot import View, take
+from slam.loops_beside import at_once
 from slam.metrics import align
 from slam.offline import run_offline
 from slam.pipeline import THINNED, Slam
@@ -184,7 +185,7 @@ def test_without_former_places_the_keyframes_are_all_there_is():
 
 def dispensable(slam, doubted=(), closures=None):
     """Whether the thinner finds enough dispensable keyframes in a graph that has all."""
-    thinner = Thinner(ThinningConfig(enough=2, within_m=0.8, at_once=12, share=0.0), 8.0)
+    thinner = Thinner(ThinningConfig(enough=2, within_m=0.8, at_once=12, share=0.0), 8.0, at_once)
     loops = [edge for edge in slam.graph.edges if edge.kind == "loop"]
     thinner.add_closures(loops if closures is None else closures(loops))
     return thinner.due(slam.keyframes, slam.graph, set(doubted))
