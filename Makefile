@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-slow fuzz lint format clean
+.PHONY: demo test test-slow fuzz lint types format clean
 
 $(READY): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -28,14 +28,21 @@ fuzz: $(READY)
 	$(BIN)/python tests/drivers/fuzz_parsers.py -max_total_time=120 -max_len=4096
 	$(BIN)/python tests/logs/fuzz_reader.py -max_total_time=120 -max_len=512
 
-lint: $(READY)
+lint: $(READY) types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The package as it is installed, `slam` with the folders beside it inside, for mypy and editors.
+types:
+	rm -rf .types
+	mkdir -p .types/slam
+	ln -s $(addprefix ../../,$(wildcard slam/*) drivers frontend backend logs) .types/slam/
+	ln -s ../benchmarks .types/benchmarks
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo-out bench-out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .types demo-out bench-out .pytest_cache .mypy_cache .ruff_cache

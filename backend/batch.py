@@ -11,8 +11,7 @@ from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-
-from backend.edges import Edge, GraphError, Matrix, residuals
+from slam.backend.edges import Edge, GraphError, Matrix, residuals
 
 SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
 OUTLIER = 0.5  # a loop of less weight is left out

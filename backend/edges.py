@@ -21,6 +21,8 @@ BEST_INFORMATION = 1e6  # 1 / m^2 or 1 / rad^2: a sigma of a millimetre or a mil
 class GraphError(ValueError):
     """A measurement cannot enter the graph; the message says which and why."""
 
+    explains_itself = True  # the command line shows it as one line
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Edge:

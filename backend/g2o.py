@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from backend.edges import Edge, GraphError, Matrix
+from slam.backend.edges import Edge, GraphError, Matrix
 
 
 @dataclass(frozen=True, eq=False, slots=True)

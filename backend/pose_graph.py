@@ -8,10 +8,16 @@ import gtsam
 import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
-
-from backend.batch import SUSPICIOUS, FactorMaker, GraphConfig, chi_squares, optimise, values_of
-from backend.edges import Edge, GraphError, Matrix, relative_covariance
-from backend.thinning import Thinned, thinned
+from slam.backend.batch import (
+    SUSPICIOUS,
+    FactorMaker,
+    GraphConfig,
+    chi_squares,
+    optimise,
+    values_of,
+)
+from slam.backend.edges import Edge, GraphError, Matrix, relative_covariance
+from slam.backend.pruning import Thinned, thinned
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 

@@ -10,7 +10,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
-from drivers.stamped_buffer import StampedBuffer
+from slam.drivers.stamped_buffer import StampedBuffer
 
 HEADER = b"\xfa\xfb"
 MIN_COUNT = 3  # an id and a checksum

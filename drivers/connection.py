@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar, cast, get_args
 
-from drivers.errors import Stopped
-from drivers.ports import Port
-from logs.messages import RawBytes, SensorMessage
+from slam.drivers.errors import Stopped
+from slam.drivers.ports import Port
+from slam.logs.messages import RawBytes, SensorMessage
 
 DeviceName = Literal["p3dx", "laser"]
 Clock = Callable[[], int]  # UTC in ns

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.connection import Clock, Connection, Sink, steady_utc
-from drivers.errors import LinkLost, NoReply, Refused, WrongDevice
-from drivers.hokuyo_decoder import HokuyoDecoder
-from drivers.ports import Port, open_port
-from drivers.scip_protocol import Reply
-from drivers.scip_scan import ScanRequest, ScanSymbol, SensorParameters, decode_request
+from slam.drivers.connection import Clock, Connection, Sink, steady_utc
+from slam.drivers.errors import LinkLost, NoReply, Refused, WrongDevice
+from slam.drivers.hokuyo_decoder import HokuyoDecoder
+from slam.drivers.ports import Port, open_port
+from slam.drivers.scip_protocol import Reply
+from slam.drivers.scip_scan import ScanRequest, ScanSymbol, SensorParameters, decode_request
 
 _BAUDS = (19200, 115200, 57600, 38400, 250000, 500000, 750000)  # RS232 models (section 4.1, SS)
 

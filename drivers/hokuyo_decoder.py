@@ -6,9 +6,15 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 
-from drivers.clock import ClockConfig, DeviceClock
-from drivers.scip_protocol import Reply, ReplyFramer, decode_information, decode_number, is_sound
-from drivers.scip_scan import (
+from slam.drivers.clock import ClockConfig, DeviceClock
+from slam.drivers.scip_protocol import (
+    Reply,
+    ReplyFramer,
+    decode_information,
+    decode_number,
+    is_sound,
+)
+from slam.drivers.scip_scan import (
     SCAN_SYMBOLS,
     RawScan,
     SensorParameters,
@@ -16,7 +22,7 @@ from drivers.scip_scan import (
     parameters_from,
     ranges_m,
 )
-from logs.messages import LaserScan, RawBytes, SensorMessage
+from slam.logs.messages import LaserScan, RawBytes, SensorMessage
 
 _CLOCK_COMMANDS = (b"TM0", b"RS", b"RT", b"RB")  # behind these the counter has a new epoch
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.arcos_protocol import (
+from slam.drivers.arcos_protocol import (
     BAUD_CODES,
     OUT_OF_SYNC,
     SYNC0,
@@ -22,12 +22,12 @@ from drivers.arcos_protocol import (
     Packet,
     encode_command,
 )
-from drivers.arcos_reports import CONFIG, ENCODER, GYRO, IO, STANDARD
-from drivers.connection import Clock, Connection, Sink, steady_utc
-from drivers.errors import LinkLost, NoReply, Refused, WrongDevice
-from drivers.motion import MotionConfig, MotionGuard
-from drivers.pioneer_decoder import MODELS, PioneerDecoder, RobotModel
-from drivers.ports import Port, open_port
+from slam.drivers.arcos_reports import CONFIG, ENCODER, GYRO, IO, STANDARD
+from slam.drivers.connection import Clock, Connection, Sink, steady_utc
+from slam.drivers.errors import LinkLost, NoReply, Refused, WrongDevice
+from slam.drivers.motion import MotionConfig, MotionGuard
+from slam.drivers.pioneer_decoder import MODELS, PioneerDecoder, RobotModel
+from slam.drivers.ports import Port, open_port
 
 # What may be sent without consent to motion.
 PASSIVE = (Id.PULSE, Id.OPEN, Id.CLOSE, Id.CONFIG, Id.SONAR, Id.HOSTBAUD)

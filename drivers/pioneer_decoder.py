@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from drivers.arcos_protocol import SYNC2, Framer, Id, Packet, decode_command
-from drivers.arcos_reports import (
+from slam.drivers.arcos_protocol import SYNC2, Framer, Id, Packet, decode_command
+from slam.drivers.arcos_reports import (
     CONFIG,
     ENCODER,
     STANDARD,
@@ -21,8 +21,8 @@ from drivers.arcos_reports import (
     decode_identity,
     decode_standard,
 )
-from drivers.report_cycle import ReportCycle
-from logs.messages import RawBytes, SensorMessage, WheelOdometry
+from slam.drivers.report_cycle import ReportCycle
+from slam.logs.messages import RawBytes, SensorMessage, WheelOdometry
 
 _HALF_WRAP, _WRAP_MASK = 0x4000, 0x7FFF  # counters wrap at 15 bits (DEVICES.md, section 2.1)
 _TURN = 4096  # THPOS units in a turn

@@ -11,8 +11,7 @@ from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
-
-from drivers.errors import LinkLost, PortError
+from slam.drivers.errors import LinkLost, PortError
 
 BAUD_DEFAULT = 9600
 CONNECT_S = 2.0  # s, how long a TCP peer may take to accept (urg_library's value)

@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.arcos_reports import StandardReport
-from drivers.connection import Clock, Received, steady_utc
-from drivers.errors import DriverError, PortError
-from drivers.hokuyo import Hokuyo, HokuyoConfig
-from drivers.hokuyo_decoder import HokuyoDecoder
-from drivers.pioneer import Pioneer, PioneerConfig
-from drivers.pioneer_decoder import PioneerDecoder
-from drivers.ports import Port, open_port
-from logs.messages import LaserScan, WheelOdometry
+from slam.drivers.arcos_reports import StandardReport
+from slam.drivers.connection import Clock, Received, steady_utc
+from slam.drivers.errors import DriverError, PortError
+from slam.drivers.hokuyo import Hokuyo, HokuyoConfig
+from slam.drivers.hokuyo_decoder import HokuyoDecoder
+from slam.drivers.pioneer import Pioneer, PioneerConfig
+from slam.drivers.pioneer_decoder import PioneerDecoder
+from slam.drivers.ports import Port, open_port
+from slam.logs.messages import LaserScan, WheelOdometry
 
 Kind = Literal["laser", "p3dx"]
 

@@ -6,8 +6,8 @@ import threading
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from drivers.connection import Clock, DeviceEvent, DeviceName, Received, Sink, steady_utc
-from drivers.errors import DriverError, Stopped
+from slam.drivers.connection import Clock, DeviceEvent, DeviceName, Received, Sink, steady_utc
+from slam.drivers.errors import DriverError, Stopped
 
 
 class Session(Protocol):

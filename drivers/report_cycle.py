@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from drivers.clock import Point, lower_edge
+from slam.drivers.clock import Point, lower_edge
 
 _REPORTS = 50  # that are remembered: 5 s of them
 _LATE = 0.9  # cycles; a report that is later is taken for the next one, and this one for lost

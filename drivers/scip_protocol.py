@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
-from drivers.scip_status import status_name
-from drivers.stamped_buffer import StampedBuffer
+from slam.drivers.scip_status import status_name
+from slam.drivers.stamped_buffer import StampedBuffer
 
 LINE = 64  # characters of data in a line (section 4)
 MAX_REPLY = 32768  # three echoes with intensity take 22 kB; more than this is garbage

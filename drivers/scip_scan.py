@@ -8,8 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.scip_protocol import Reply, data_lines, decode_number, encode_number, joined_data
+from slam.drivers.scip_protocol import Reply, data_lines, decode_number, encode_number, joined_data
 
 Integers = NDArray[np.int32]
 ScanSymbol = Literal["GD", "GE", "GS", "MD", "ME", "MS"]

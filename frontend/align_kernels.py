@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import kernel, merged, part
-from frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
-from frontend.evidence_kernels import (
+from slam.frontend.compiled import kernel, merged, part
+from slam.frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
+from slam.frontend.evidence_kernels import (
     DOUBTED_PAIRS,
     TRUSTED_SHARE,
     discount_weak_axis,
     step_back,
 )
-from frontend.heading_kernels import doubt_heading
-from frontend.icp_kernels import (
+from slam.frontend.heading_kernels import doubt_heading
+from slam.frontend.icp_kernels import (
     COST,
     FITTING,
     INLIERS,
@@ -24,7 +23,7 @@ from frontend.icp_kernels import (
     WEIGHT,
     gauss_newton,
 )
-from frontend.scatter_kernels import scatter
+from slam.frontend.scatter_kernels import scatter
 
 COARSE = 2  # passes after which other starts are compared
 

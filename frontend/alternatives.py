@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from frontend.ndt import build_cells, ndt
-from frontend.point_to_point import point_to_point
-from frontend.psm import psm
-from frontend.scan import VALID, PreparedScan
-
-if TYPE_CHECKING:
-    from frontend.matching import MatchConfig, Reference
+from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.ndt import build_cells, ndt
+from slam.frontend.point_to_point import point_to_point
+from slam.frontend.psm import psm
+from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
 

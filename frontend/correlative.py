@@ -13,8 +13,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-
-from frontend.correlative_kernels import (
+from slam.frontend.correlative_kernels import (
     block_maximum,
     blocks_per_axis,
     bound_blocks,

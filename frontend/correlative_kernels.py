@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import bare_kernel, kernel, part
+from slam.frontend.compiled import bare_kernel, kernel, part
 
 
 @kernel

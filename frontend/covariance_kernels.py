@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import kernel, merged, part
-from frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
+from slam.frontend.compiled import kernel, merged, part
+from slam.frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
 
 
 @part

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import inlined, part
-from frontend.icp_kernels import FEIGNED, eigen2, in_reference, nearest_beam
-from frontend.scan_kernels import LINE, VALID
+from slam.frontend.compiled import inlined, part
+from slam.frontend.icp_kernels import FEIGNED, eigen2, in_reference, nearest_beam
+from slam.frontend.scan_kernels import LINE, VALID
 
 WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
 SHIFT = 3.0  # robust scales to either side at which the proof is taken

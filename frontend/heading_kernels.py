@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from frontend.compiled import part
-from frontend.evidence_kernels import BORNE_OUT, DOUBTED_PAIRS, keep_strongest
-from frontend.icp_kernels import FEIGNED_TURN, in_reference
+from slam.frontend.compiled import part
+from slam.frontend.evidence_kernels import BORNE_OUT, DOUBTED_PAIRS, keep_strongest
+from slam.frontend.icp_kernels import FEIGNED_TURN, in_reference
 
 RIDGE = 1e-3  # share of the translation's information that bounds the shift along a blind axis
 

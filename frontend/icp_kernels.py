@@ -7,9 +7,8 @@ of a parallel reduction, so that equal inputs give equal bits.
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import inlined, merged, part
-from frontend.scan_kernels import LINE, VALID
+from slam.frontend.compiled import inlined, merged, part
+from slam.frontend.scan_kernels import LINE, VALID
 
 # A step smaller than this (m) leaves the pairs as they are: neighbours share their lines anyway.
 SAME_PAIRS = 0.02

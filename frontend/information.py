@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from frontend.information_kernels import foresee
-from frontend.scan import VALID, PreparedScan
+from slam.frontend.information_kernels import foresee
+from slam.frontend.scan import VALID, PreparedScan
 
 Array = NDArray[np.float64]
 

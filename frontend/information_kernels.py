@@ -7,12 +7,11 @@ cast into it beam by beam.  What lies outside, behind or beyond is not seen and 
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import kernel, part
-from frontend.covariance_kernels import own_information
-from frontend.icp_kernels import FEIGNED, SYSTEM, bearing_of
-from frontend.scan_kernels import LINE, VALID
-from frontend.scatter_kernels import add_outer
+from slam.frontend.compiled import kernel, part
+from slam.frontend.covariance_kernels import own_information
+from slam.frontend.icp_kernels import FEIGNED, SYSTEM, bearing_of
+from slam.frontend.scan_kernels import LINE, VALID
+from slam.frontend.scatter_kernels import add_outer
 
 HIDDEN = -1  # what a beam meets that no match can use: nothing, or a surface from behind
 

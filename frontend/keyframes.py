@@ -9,16 +9,15 @@ from typing import Literal
 import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-
-from frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
-from frontend.information import (
+from slam.frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
+from slam.frontend.information import (
     Foresight,
     Outlook,
     best_distance,
     best_turn,
     distance_of_overlap,
 )
-from frontend.scan import PreparedScan
+from slam.frontend.scan import PreparedScan
 
 
 class KeyframeConfig(BaseModel):

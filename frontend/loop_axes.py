@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from frontend.matching import MatchResult
-from frontend.scan import VALID, PreparedScan
+from slam.frontend.match_types import MatchResult
+from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
 

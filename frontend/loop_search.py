@@ -9,8 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-
-from frontend.correlative import (
+from slam.frontend.correlative import (
     CorrelativeConfig,
     Found,
     LikelihoodField,
@@ -19,9 +18,10 @@ from frontend.correlative import (
     search,
     thin,
 )
-from frontend.loop_axes import without_blind_axis
-from frontend.matching import MatchConfig, MatchResult, Prior, Reference, match
-from frontend.scan import VALID, PreparedScan
+from slam.frontend.loop_axes import without_blind_axis
+from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
 

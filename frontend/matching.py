@@ -4,123 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from itertools import accumulate
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 from gtsam import Pose2
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
-
-from frontend.align_kernels import align
-from frontend.alternatives import find_pose
-from frontend.scan import PreparedScan
-
-Matrix = NDArray[np.float64]
-Triple = tuple[float, float, float]  # x (m), y (m), theta (rad)
-Method = Literal["point_to_line", "point_to_point", "ndt", "psm"]
-
-
-class MatchConfig(BaseModel):
-    """The scan matcher."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    method: Method = Field("point_to_line", description="how scans are aligned")
-    range_noise: float = Field(0.010, gt=0, description="m, one sigma of a single reading")
-    search_gate: float = Field(2.0, gt=0, description="m, pairing distance when nothing is known")
-    final_gate: float = Field(0.15, gt=0, description="m, pairing distance of the last pass")
-    final_scale: float = Field(0.04, gt=0, description="m, residual at which a pair weighs 1/4")
-    coarse_beams: int = Field(60, ge=10, description="beams used before the last pass")
-    iterations: int = Field(25, ge=1, description="at most, per pass")
-    point_gate: float = Field(0.5, gt=0, description="m, pairing distance of point_to_point")
-    ndt_cell: float = Field(1.0, gt=0, description="m, cell of ndt")
-    tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
-    min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
-    good_quality: float = Field(
-        0.6, ge=0, le=1, description="share of beams that fit, below which other starts are tried"
-    )
-    min_explained: float = Field(
-        0.35, ge=0, le=1, description="share of paired beams that must fit"
-    )
-    correlation: float = Field(
-        1.07, gt=0, description="factor on the covariance that range noise alone explains"
-    )
-    lasting: float = Field(
-        1.15,
-        ge=1,
-        description="the same factor as far as `keyframes.method = information` foresees chains "
-        "of matches: some errors stay while the same things are in view",
-    )
-    floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
-    floor_rot: float = Field(0.00025, ge=0, description="rad, the same for the heading")
-
-    @cached_property
-    def passes_with_prior(self) -> Matrix:
-        """(2, 4): gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass."""
-        return np.array(
-            [
-                [0.6, 0.2, 0.02, self.coarse_beams],
-                [self.final_gate, self.final_scale, self.tolerance, 0],
-            ]
-        )
-
-    @cached_property
-    def passes_without_prior(self) -> Matrix:
-        """(3, 4): the same with a first pass that reaches farther."""
-        wide = [self.search_gate, 0.5 * self.search_gate, 0.05, self.coarse_beams]
-        return np.vstack([[wide], self.passes_with_prior])
-
-    @cached_property
-    def limits(self) -> tuple[float, float, float, float, int, int, float]:
-        """The last arguments of `align`: noise, variance, floors, iterations, pairs, quality."""
-        return (
-            self.range_noise, self.range_noise**2 * self.correlation, self.floor_trans,
-            self.floor_rot, self.iterations, self.min_pairs, self.good_quality,
-        )  # fmt: skip
-
-
-class Reference(NamedTuple):
-    """A fixed scan to match against, and where it stands in the target frame."""
-
-    target_T_scan: Pose2
-    scan: PreparedScan
-
-
-class Prior(NamedTuple):
-    """What is known before the match: a pose and the covariance of its error, in its own frame."""
-
-    target_T_source: Pose2
-    covariance: Matrix  # (3, 3) of (x, y, theta): m^2, m rad, rad^2
-
-
-class MatchResult(NamedTuple):
-    """All that a match knows; covariances are of (x, y, theta) in the source frame.
-
-    A tuple is made in a quarter of the time that a frozen dataclass takes.
-    """
-
-    target_T_source: Pose2
-    information: Matrix  # (3, 3) of the scans alone, the prior left out
-    covariance: Matrix  # (3, 3) of the pose, the prior included
-    pairs: int
-    explained: float  # share of the pairs within `final_scale` of their line
-    overlap: float  # share of the beams that found a partner in any reference
-    quality: float  # share of the beams that fit a line of any reference
-    rms: float  # m, robust, of the residuals
-    weak_axis: float | None  # rad, direction in the source frame that the prior carries, if any
-    weakness: float  # own sigma over the prior's sigma along that axis (or the weakest one)
-    iterations: int
-    converged: bool
-    reason: str  # why it was refused; empty when it was not
-
-    @property
-    def sigmas(self) -> tuple[float, float, float]:
-        """One-sigma of x (m), y (m) and theta (rad)."""
-        sx, sy, st = np.sqrt(np.diag(self.covariance))
-        return float(sx), float(sy), float(st)
-
+from slam.frontend.align_kernels import align
+from slam.frontend.alternatives import find_pose
+from slam.frontend.match_types import MatchConfig, MatchResult, Matrix, Prior, Reference, Triple
+from slam.frontend.scan import PreparedScan
 
 # An iteration that still swings by a few tolerances stands well within the bias floor.
 SETTLED = 10.0

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import bare_kernel
-from frontend.icp_kernels import nearest_beam
-from frontend.scan_kernels import VALID
+from slam.frontend.compiled import bare_kernel
+from slam.frontend.icp_kernels import nearest_beam
+from slam.frontend.scan_kernels import VALID
 
 
 @bare_kernel

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import allocating_part, kernel, part
-from frontend.scan_kernels import VALID
+from slam.frontend.compiled import allocating_part, kernel, part
+from slam.frontend.scan_kernels import VALID
 
 MAX_ERROR = 1.0  # m, range differences beyond are other objects (PM_MAX_ERROR)
 SOFTNESS = 0.7  # m, C of the weight C^2 / (d^2 + C^2)

@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-
-from frontend.scan_kernels import LINE, VALID, read_scan
-from logs.messages import LaserMount, LaserScan
+from slam.frontend.scan_kernels import LINE, VALID, read_scan
+from slam.logs.messages import LaserMount, LaserScan
 
 __all__ = ["LINE", "VALID", "PreparedScan", "ScanConfig", "prepare"]
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import inlined, kernel, merged, part
+from slam.frontend.compiled import inlined, kernel, merged, part
 
 HALF_WIDTHS = np.array([1, 2, 3, 5, 8, 12, 18, 27, 40, 60], dtype=np.int64)
 # Squared residuals of a line through k + 2 points, in units of the noise's variance, that noise

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-
-from frontend.compiled import kernel, part
-from frontend.icp_kernels import in_reference
-from frontend.scan_kernels import LINE
+from slam.frontend.compiled import kernel, part
+from slam.frontend.icp_kernels import in_reference
+from slam.frontend.scan_kernels import LINE
 
 
 @part

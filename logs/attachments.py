@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.mcap_file import RECORD_LIMIT
+from slam.logs.errors import LogError
+from slam.logs.mcap_file import RECORD_LIMIT
 
 ATTACHMENT_LIMIT = RECORD_LIMIT - 4096  # bytes; the rest is for names and lengths
 

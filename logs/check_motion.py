@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from logs.findings import Finding, seconds
-from logs.messages import LaserMount, WheelOdometry
+from slam.logs.findings import Finding, seconds
+from slam.logs.messages import LaserMount, WheelOdometry
 
 TOP_SPEED = 3.0  # m/s; a P3-DX does 1.2
 TOP_TURN_RATE = 6.3  # rad/s; a P3-DX does 5.2

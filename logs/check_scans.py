@@ -7,9 +7,8 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-
-from logs.findings import Finding, Severity
-from logs.messages import LaserScan
+from slam.logs.findings import Finding, Severity
+from slam.logs.messages import LaserScan
 
 NAN_SHARE = 0.5  # of all beams: more of them unusable is a defect or a wrong import
 BLIND_SHARE = 0.05  # of beams that bring something back; below it a scan is blind

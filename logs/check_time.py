@@ -6,10 +6,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-
-from logs.findings import Finding, seconds
-from logs.sampled import Sampled
-from logs.timing import Timing, TimingCounter
+from slam.logs.findings import Finding, seconds
+from slam.logs.sampled import Sampled
+from slam.logs.timing import Timing, TimingCounter
 
 YEAR_2000_NS = 946_684_800 * 10**9
 MINUTES_S = 60.0  # after such a gap the robot may stand somewhere else

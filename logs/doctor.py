@@ -20,16 +20,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from logs.check_motion import MountCheck, OdometryCheck
-from logs.check_scans import ScanCheck
-from logs.check_time import ReceiptCheck, StampCheck
-from logs.errors import shown
-from logs.findings import SEVERITIES, Finding, Severity
-from logs.info import recording_losses
-from logs.mcap_open import open_log
-from logs.mcap_read import Log
-from logs.messages import LaserMount, LaserScan, Message, WheelOdometry
-from logs.schemas import CHANNELS, topic_of
+from slam.logs.check_motion import MountCheck, OdometryCheck
+from slam.logs.check_scans import ScanCheck
+from slam.logs.check_time import ReceiptCheck, StampCheck
+from slam.logs.errors import shown
+from slam.logs.findings import SEVERITIES, Finding, Severity
+from slam.logs.info import recording_losses
+from slam.logs.mcap_open import open_log
+from slam.logs.mcap_read import Log
+from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.schemas import CHANNELS, topic_of
 
 _TOPICS = ("/scan", "/odom", "/tf", "/truth")
 _STAMPED = ("/scan", "/odom")

@@ -8,6 +8,8 @@ _SHOWN_LENGTH = 80  # characters: enough to recognise a name, too few to flood a
 class LogError(Exception):
     """A log cannot be read or written; the message says what, where, and what to do."""
 
+    explains_itself = True  # the command line shows it as one line
+
 
 class TruncatedLog(LogError):  # noqa: N818 - says what happened, as LinkLost does
     """The recording was cut off before it was closed: `slam recover` saves what is intact."""

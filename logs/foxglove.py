@@ -11,8 +11,7 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-
-from logs.messages import (
+from slam.logs.messages import (
     LaserMount,
     LaserScan,
     LogLine,
@@ -21,7 +20,7 @@ from logs.messages import (
     TruePose,
     WheelOdometry,
 )
-from logs.protos import CLASSES
+from slam.logs.protos import CLASSES
 
 _Scan = CLASSES["LaserScan"]
 _Odometry = CLASSES["Odometry"]

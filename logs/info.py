@@ -8,11 +8,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.mcap_open import open_log
-from logs.mcap_read import Log
-from logs.messages import LogLine
-from logs.schemas import CHANNELS, STAMP_LIMIT, decode
-from logs.timing import Timing, TimingCounter
+from slam.logs.mcap_open import open_log
+from slam.logs.mcap_read import Log
+from slam.logs.messages import LogLine
+from slam.logs.schemas import CHANNELS, STAMP_LIMIT, decode
+from slam.logs.timing import Timing, TimingCounter
 
 
 @dataclass(frozen=True, slots=True)

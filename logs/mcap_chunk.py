@@ -12,8 +12,7 @@ from typing import NamedTuple
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.opcode import Opcode
-
-from logs.mcap_file import RECORD_HEADER, RECORD_LIMIT, Damaged
+from slam.logs.mcap_file import RECORD_HEADER, RECORD_LIMIT, Damaged
 
 _CHUNK = struct.Struct("<QQQII")  # start, end, unpacked size, CRC, length of compression's name
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time

@@ -13,15 +13,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from logs import protos
-from logs.attachments import Attachment, check_attachment
-from logs.errors import LogError
-from logs.mcap_open import SCHEMA_VERSION, open_log
-from logs.mcap_read import Log
-from logs.mcap_writer import CHUNK_BYTES, library_name, new_writer
-from logs.messages import Message
-from logs.partial import PartialFile
-from logs.schemas import CHANNELS, STAMP_LIMIT, Channel, topic_of
+from slam.logs import protos
+from slam.logs.attachments import Attachment, check_attachment
+from slam.logs.errors import LogError
+from slam.logs.mcap_open import SCHEMA_VERSION, open_log
+from slam.logs.mcap_read import Log
+from slam.logs.mcap_writer import CHUNK_BYTES, library_name, new_writer
+from slam.logs.messages import Message
+from slam.logs.partial import PartialFile
+from slam.logs.schemas import CHANNELS, STAMP_LIMIT, Channel, topic_of
 
 __all__ = ["SCHEMA_VERSION", "Attachment", "Log", "LogWriter", "library_name", "open_log"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from logs.errors import LogError, NewerSchema, shown
-from logs.mcap_read import Log
-from logs.mcap_summary import open_file, read_summary
-from logs.schemas import CHANNELS
+from slam.logs.errors import LogError, NewerSchema, shown
+from slam.logs.mcap_read import Log
+from slam.logs.mcap_summary import open_file, read_summary
+from slam.logs.schemas import CHANNELS
 
 SCHEMA_VERSION = 1
 """Version of channels and fields; raised when an old reader would misread a new file."""

@@ -11,10 +11,9 @@ from typing import IO, Self
 
 from mcap import records
 from mcap.opcode import Opcode
-
-from logs.attachments import Attachment, is_plain_name
-from logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
-from logs.mcap_file import (
+from slam.logs.attachments import Attachment, is_plain_name
+from slam.logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
+from slam.logs.mcap_file import (
     MAGIC,
     PARSE_ERRORS,
     Damaged,
@@ -25,9 +24,9 @@ from logs.mcap_file import (
     stream,
     walk,
 )
-from logs.mcap_summary import Summary
-from logs.messages import Message
-from logs.schemas import CHANNELS, STAMP_LIMIT, decode
+from slam.logs.mcap_summary import Summary
+from slam.logs.messages import Message
+from slam.logs.schemas import CHANNELS, STAMP_LIMIT, decode
 
 
 class Log:

@@ -11,9 +11,8 @@ from typing import IO
 
 from mcap import records
 from mcap.opcode import Opcode
-
-from logs.errors import LogError, TruncatedLog
-from logs.mcap_file import (
+from slam.logs.errors import LogError, TruncatedLog
+from slam.logs.mcap_file import (
     FOOTER_BODY,
     FOOTER_LENGTH,
     MAGIC,

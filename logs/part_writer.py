@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.attachments import Attachment
-from logs.errors import LogError
-from logs.mcap_log import LogWriter
-from logs.messages import LaserMount, Message
+from slam.logs.attachments import Attachment
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import LogWriter
+from slam.logs.messages import LaserMount, Message
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
-from logs.errors import LogError
+from slam.logs.errors import LogError
 
 
 class PartialFile:

@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from logs.attachments import Attachment
-from logs.mcap_open import open_log
-from logs.messages import LaserMount, Message
+from slam.logs.attachments import Attachment
+from slam.logs.mcap_open import open_log
+from slam.logs.messages import LaserMount, Message
 
 _NUMBERED = re.compile(r"(?P<name>.*_)(?P<part>[0-9]{3,})(?P<suffix>\.[^.]*)")
 

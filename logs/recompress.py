@@ -12,13 +12,12 @@ from typing import IO
 
 from mcap.opcode import Opcode
 from mcap.writer import Writer
-
-from logs.errors import LogError
-from logs.mcap_file import MAGIC, PARSE_ERRORS, Damaged, read_body, walk
-from logs.mcap_summary import Summary, open_file, read_summary
-from logs.mcap_writer import new_writer
-from logs.partial import PartialFile
-from logs.record_copy import COPIED, RecordCopier
+from slam.logs.errors import LogError
+from slam.logs.mcap_file import MAGIC, PARSE_ERRORS, Damaged, read_body, walk
+from slam.logs.mcap_summary import Summary, open_file, read_summary
+from slam.logs.mcap_writer import new_writer
+from slam.logs.partial import PartialFile
+from slam.logs.record_copy import COPIED, RecordCopier
 
 LARGE_CHUNK_BYTES = 1 << 20
 """Larger ones gain less than 1 % and cost a reader memory and time to seek."""

@@ -7,9 +7,8 @@ from collections import Counter
 from mcap import records
 from mcap.opcode import Opcode
 from mcap.writer import Writer
-
-from logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
-from logs.mcap_file import Damaged, attachment_of, stream
+from slam.logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
+from slam.logs.mcap_file import Damaged, attachment_of, stream
 
 COPIED = {
     Opcode.CHUNK,

@@ -16,13 +16,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from logs.attachments import Attachment, check_attachment
-from logs.errors import LogError
-from logs.messages import Message
-from logs.part_writer import Note, PartWriter, RotationConfig
-from logs.recompress import recompress
-from logs.recording import RecorderConfig, RecordingStatus
-from logs.schemas import topic_of
+from slam.logs.attachments import Attachment, check_attachment
+from slam.logs.errors import LogError
+from slam.logs.messages import Message
+from slam.logs.part_writer import Note, PartWriter, RotationConfig
+from slam.logs.recompress import recompress
+from slam.logs.recording import RecorderConfig, RecordingStatus
+from slam.logs.schemas import topic_of
 
 _TICK_S = 0.1  # how long the thread sleeps at most; with half a second to a sync: below one
 _BATCH = 256  # messages written between two looks at the clock and the disk

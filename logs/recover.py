@@ -6,11 +6,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.mcap_summary import open_file
-from logs.mcap_writer import CHUNK_BYTES, new_writer
-from logs.partial import PartialFile
-from logs.salvage import Salvage
+from slam.logs.errors import LogError
+from slam.logs.mcap_summary import open_file
+from slam.logs.mcap_writer import CHUNK_BYTES, new_writer
+from slam.logs.partial import PartialFile
+from slam.logs.salvage import Salvage
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,9 @@ from typing import IO
 
 from mcap.opcode import Opcode
 from mcap.writer import Writer
-
-from logs.errors import LogError
-from logs.mcap_chunk import chunk_header, unpack_cut_chunk
-from logs.mcap_file import (
+from slam.logs.errors import LogError
+from slam.logs.mcap_chunk import chunk_header, unpack_cut_chunk
+from slam.logs.mcap_file import (
     MAGIC,
     PARSE_ERRORS,
     RECORD_HEADER,
@@ -22,8 +21,8 @@ from logs.mcap_file import (
     read_body,
     walk,
 )
-from logs.mcap_summary import read_summary
-from logs.record_copy import COPIED, RecordCopier
+from slam.logs.mcap_summary import read_summary
+from slam.logs.record_copy import COPIED, RecordCopier
 
 _PROBLEMS_DESCRIBED = 1000  # of a file made to hurt; beyond it they are only counted
 _HEAD = RECORD_HEADER.size + 64  # bytes: enough for the header of a chunk

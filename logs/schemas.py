@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf.message import DecodeError
-
-from logs import foxglove, protos
-from logs.messages import (
+from slam.logs import foxglove, protos
+from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     KeyframeDecision,

@@ -10,7 +10,7 @@ import heapq
 import math
 from dataclasses import dataclass
 
-from logs.sampled import Sampled
+from slam.logs.sampled import Sampled
 
 GAP_PERIODS = 5.0
 GAP_LEAST_S = 0.5

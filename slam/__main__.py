@@ -1,5 +1,5 @@
 """`python -m slam` is the `slam` command."""
 
-from slam.command import main
+from slam.cli.main import main
 
 main()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-
-from drivers.simulators.outlines import Array, Point, Recess, recessed_wall
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.outlines import Array, Point, Recess, recessed_wall
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 LENGTH, WIDTH, LANE = 12.0, 8.0, 2.2  # m, of a block and of the lanes between
 PITCH_X, PITCH_Y = LENGTH + LANE, WIDTH + LANE

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-
-from drivers.simulators.corridors import Plan
-from drivers.simulators.outlines import (
+from slam.drivers.simulators.corridors import Plan
+from slam.drivers.simulators.outlines import (
     Array,
     Door,
     Point,
@@ -18,8 +17,8 @@ from drivers.simulators.outlines import (
     thick_wall,
     way_points,
 )
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 KEEP_OFF = 0.6  # m between furniture and the path
 

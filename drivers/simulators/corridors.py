@@ -5,10 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-
-from drivers.simulators.outlines import Array, Point, Recess, recessed_wall
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.outlines import Array, Point, Recess, recessed_wall
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 Plan = tuple[World, tuple[Leg, ...]]
 

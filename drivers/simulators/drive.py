@@ -8,12 +8,11 @@ from typing import Literal
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from drivers.simulators.faults import OdometryFault, corrupted, has_scan
-from drivers.simulators.laser import LASERS, LaserConfig, take_moving_scan, take_scan
-from drivers.simulators.paper_bed import BedConfig, paper_bed
-from drivers.simulators.path import MotionConfig
-from drivers.simulators.robot import (
+from slam.drivers.simulators.faults import OdometryFault, corrupted, has_scan
+from slam.drivers.simulators.laser import LASERS, LaserConfig, take_moving_scan, take_scan
+from slam.drivers.simulators.paper_bed import BedConfig, paper_bed
+from slam.drivers.simulators.path import MotionConfig
+from slam.drivers.simulators.robot import (
     ODOMETRY_NOISE,
     OdometryNoise,
     Track,
@@ -23,9 +22,9 @@ from drivers.simulators.robot import (
     track_of,
     wheel_increments,
 )
-from drivers.simulators.world import World
-from drivers.simulators.worlds import Scenario
-from logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
+from slam.drivers.simulators.world import World
+from slam.drivers.simulators.worlds import Scenario
+from slam.logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]

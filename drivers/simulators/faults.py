@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.simulators.robot import Track
+from slam.drivers.simulators.robot import Track
 
 Array = NDArray[np.float64]
 TRACK_WIDTH_M = 2.0 / 5.6  # effective, by DiffConvFactor 0.0056 (DEVICES.md, section 2.1)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
-from drivers.simulators.corridors import Plan
-from drivers.simulators.outlines import (
+from slam.drivers.simulators.corridors import Plan
+from slam.drivers.simulators.outlines import (
     Array,
     Recess,
     box,
@@ -15,8 +14,8 @@ from drivers.simulators.outlines import (
     recessed_wall,
     way_points,
 )
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 SPACING = 1.1  # m, least distance between the middles of two things
 KEEP_OFF = 0.6  # m between things and the path

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from drivers.scip_protocol import encode_number, information_line
-from drivers.scip_scan import SCAN_SYMBOLS, SensorParameters, decode_request
-from drivers.simulators.hokuyo_models import HokuyoModel
+from slam.drivers.scip_protocol import encode_number, information_line
+from slam.drivers.scip_scan import SCAN_SYMBOLS, SensorParameters, decode_request
+from slam.drivers.simulators.hokuyo_models import HokuyoModel
 
 _NOTE_MOST = 16  # characters of a user string (section 4)
 _FIELDS = ((2, 6, "01"), (6, 10, "02"), (10, 12, "03"), (12, 13, "06"), (13, 15, "07"))

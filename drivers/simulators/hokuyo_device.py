@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from drivers.scip_protocol import (
+from slam.drivers.scip_protocol import (
     Command,
     CommandFramer,
     data_lines,
@@ -14,16 +14,16 @@ from drivers.scip_protocol import (
     encode_reply,
     with_sum,
 )
-from drivers.scip_scan import SCAN_SYMBOLS, ScanRequest, decode_request
-from drivers.simulators.hokuyo_answers import (
+from slam.drivers.scip_scan import SCAN_SYMBOLS, ScanRequest, decode_request
+from slam.drivers.simulators.hokuyo_answers import (
     information,
     no_command,
     no_scan,
     parameters,
     version,
 )
-from drivers.simulators.hokuyo_models import MODELS, HokuyoModel
-from drivers.simulators.sweep import Sweeper
+from slam.drivers.simulators.hokuyo_models import MODELS, HokuyoModel
+from slam.drivers.simulators.sweep import Sweeper
 
 _SPEEDS = (19200, 38400, 57600, 115200, 250000, 500000, 750000)
 _BAUD = 19200  # as delivered

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from drivers.scip_scan import SensorParameters
+from slam.drivers.scip_scan import SensorParameters
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,9 +10,8 @@ from types import MappingProxyType
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from drivers.simulators.world import World
-from logs.messages import LaserScan
+from slam.drivers.simulators.world import World
+from slam.logs.messages import LaserScan
 
 Array = NDArray[np.float64]
 

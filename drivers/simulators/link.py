@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-
-from drivers.errors import LinkLost, PortError
-from drivers.ports import Port
-from drivers.simulators.drive import EPOCH_NS
+from slam.drivers.errors import LinkLost, PortError
+from slam.drivers.ports import Port
+from slam.drivers.simulators.drive import EPOCH_NS
 
 Window = tuple[float, float]  # s of simulation, begin and end
 _BITS_A_BYTE = 10  # 8N1

@@ -8,12 +8,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.simulators.drive import dead_reckoning
-from drivers.simulators.faults import OdometryFault
-from drivers.simulators.path import MotionConfig, along_arc
-from drivers.simulators.robot import ODOMETRY_NOISE, OdometryNoise, Track, drive
-from drivers.simulators.worlds import Scenario
+from slam.drivers.simulators.drive import dead_reckoning
+from slam.drivers.simulators.faults import OdometryFault
+from slam.drivers.simulators.path import MotionConfig, along_arc
+from slam.drivers.simulators.robot import ODOMETRY_NOISE, OdometryNoise, Track, drive
+from slam.drivers.simulators.worlds import Scenario
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y (m), theta (rad)

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

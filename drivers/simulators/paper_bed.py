@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.simulators.outlines import polyline
-from drivers.simulators.world import World
+from slam.drivers.simulators.outlines import polyline
+from slam.drivers.simulators.world import World
 
 Array = NDArray[np.float64]
 

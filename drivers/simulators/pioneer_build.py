@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drivers.arcos_protocol import BAUD_CODES
-from drivers.arcos_reports import ConfigReport
-from drivers.pioneer_decoder import MODELS
+from slam.drivers.arcos_protocol import BAUD_CODES
+from slam.drivers.arcos_reports import ConfigReport
+from slam.drivers.pioneer_decoder import MODELS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable
 
 from gtsam import Pose2
-
-from drivers.arcos_protocol import (
+from slam.drivers.arcos_protocol import (
     BAUD_CODES,
     OUT_OF_SYNC,
     SYNC0,
@@ -18,7 +17,7 @@ from drivers.arcos_protocol import (
     decode_command,
     encode_packet,
 )
-from drivers.arcos_reports import (
+from slam.drivers.arcos_reports import (
     MOTORS_ENABLED,
     Identity,
     IoReport,
@@ -29,13 +28,13 @@ from drivers.arcos_reports import (
     encode_io,
     encode_standard,
 )
-from drivers.pioneer_decoder import MODELS
-from drivers.simulators.faults import TRACK_WIDTH_M
-from drivers.simulators.motion import Motion
-from drivers.simulators.pioneer_build import PioneerBuild
-from drivers.simulators.pioneer_wheels import Encoders, Wheels
-from drivers.simulators.sonar import echoes
-from drivers.simulators.world import World
+from slam.drivers.pioneer_decoder import MODELS
+from slam.drivers.simulators.faults import TRACK_WIDTH_M
+from slam.drivers.simulators.motion import Motion
+from slam.drivers.simulators.pioneer_build import PioneerBuild
+from slam.drivers.simulators.pioneer_wheels import Encoders, Wheels
+from slam.drivers.simulators.sonar import echoes
+from slam.drivers.simulators.world import World
 
 _VOLTS10 = 128  # 0.1 V, a battery that is well charged
 _CONNECTED = 3  # stage behind the three SYNCs

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 from gtsam import Pose2
-
-from drivers.arcos_reports import EncoderReport
-from drivers.simulators.faults import TRACK_WIDTH_M
-from drivers.simulators.motion import Motion
+from slam.drivers.arcos_reports import EncoderReport
+from slam.drivers.simulators.faults import TRACK_WIDTH_M
+from slam.drivers.simulators.motion import Motion
 
 _TICKS_PER_M = 128_000.0  # what users set (DEVICES.md, section 3)
 _GAIN = 2.0  # 1/s, speed per metre or turn rate per rad that are left

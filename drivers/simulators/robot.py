@@ -8,8 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-
-from drivers.simulators.path import Leg, MotionConfig, twists
+from slam.drivers.simulators.path import Leg, MotionConfig, twists
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from drivers.simulators.link import Line
+from slam.drivers.simulators.link import Line
 
 _TICK_S = 0.001  # s between looks at the devices
 _AT_ONCE = 65536  # bytes

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from gtsam import Pose2
-
-from drivers.simulators.motion import Motion
-from drivers.simulators.world import World
+from slam.drivers.simulators.motion import Motion
+from slam.drivers.simulators.world import World
 
 _BEARINGS = np.radians(
     [90, 50, 30, 10, -10, -30, -50, -90, -90, -130, -150, -170, 170, 150, 130, 90]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from drivers.scip_scan import ScanRequest, encode_scan
-from drivers.simulators.drive import BASE_T_LASER
-from drivers.simulators.hokuyo_models import HokuyoModel
-from drivers.simulators.laser import LaserConfig, take_moving_scan, take_scan
-from drivers.simulators.motion import Motion
-from drivers.simulators.world import World
+from slam.drivers.scip_scan import ScanRequest, encode_scan
+from slam.drivers.simulators.drive import BASE_T_LASER
+from slam.drivers.simulators.hokuyo_models import HokuyoModel
+from slam.drivers.simulators.laser import LaserConfig, take_moving_scan, take_scan
+from slam.drivers.simulators.motion import Motion
+from slam.drivers.simulators.world import World
 
 Integers = NDArray[np.int32]
 

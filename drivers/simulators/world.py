@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import ArrayLike, NDArray
-
-from drivers.simulators.ray_casting import cast_from_each_beam, cast_from_point
+from slam.drivers.simulators.ray_casting import cast_from_each_beam, cast_from_point
 
 Array = NDArray[np.float64]
 

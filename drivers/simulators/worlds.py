@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-
-from drivers.simulators.buildings import office, office_ring
-from drivers.simulators.corridors import Plan, door_corridor, plain_corridor, symmetric_corridors
-from drivers.simulators.halls import clutter, mixed
-from drivers.simulators.paper_bed import BedConfig, paper_bed
-from drivers.simulators.path import Leg
-from drivers.simulators.world import World
+from slam.drivers.simulators.buildings import office, office_ring
+from slam.drivers.simulators.corridors import (
+    Plan,
+    door_corridor,
+    plain_corridor,
+    symmetric_corridors,
+)
+from slam.drivers.simulators.halls import clutter, mixed
+from slam.drivers.simulators.paper_bed import BedConfig, paper_bed
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.world import World
 
 
 @dataclass(frozen=True, eq=False, slots=True)

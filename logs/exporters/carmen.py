@@ -14,11 +14,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-from logs.errors import LogError
-from logs.importers.carmen_lines import DECLARED_SHARE, NS, SENTINEL_M
-from logs.messages import LaserMount, LaserScan, Message, WheelOdometry
-from logs.partial import PartialFile
+from slam.logs.errors import LogError
+from slam.logs.importers.carmen_lines import DECLARED_SHARE, NS, SENTINEL_M
+from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.partial import PartialFile
 
 _NOTHING_M = 81.91
 """What a SICK reports where nothing came back."""

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-
-from logs.errors import LogError
-from logs.messages import Message, OccupancyMap
-from logs.schemas import topic_of
+from slam.logs.errors import LogError
+from slam.logs.messages import Message, OccupancyMap
+from slam.logs.schemas import topic_of
 
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
 

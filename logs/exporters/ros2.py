@@ -26,9 +26,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from logs.errors import LogError
-from logs.exporters import ros2_messages as ros
-from logs.messages import (
+from slam.logs.errors import LogError
+from slam.logs.exporters import ros2_messages as ros
+from slam.logs.messages import (
     DeviceHealth,
     LaserMount,
     LaserScan,
@@ -39,7 +39,7 @@ from logs.messages import (
     TruePose,
     WheelOdometry,
 )
-from logs.schemas import topic_of
+from slam.logs.schemas import topic_of
 
 _STAMP_LIMIT = 2**31 * 10**9  # ROS 2 counts seconds in 32 bits
 _STATIC = ("/tf_static", "/map", "/path")

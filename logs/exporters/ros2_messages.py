@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-from logs.messages import (
+from slam.logs.messages import (
     DeviceHealth,
     LaserMount,
     LaserScan,

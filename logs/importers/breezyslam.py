@@ -16,11 +16,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-
-from logs.errors import LogError
-from logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
-from logs.importers.text_lines import lines
-from logs.messages import LaserScan, WheelOdometry
+from slam.logs.errors import LogError
+from slam.logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
+from slam.logs.importers.text_lines import lines
+from slam.logs.messages import LaserScan, WheelOdometry
 
 BEAMS = 682
 FIRST_RANGE = 24

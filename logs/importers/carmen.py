@@ -20,12 +20,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.importers import carmen_lines
-from logs.importers.carmen_lines import LaserLine, LineError, Reach
-from logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
-from logs.importers.text_lines import lines
-from logs.messages import WheelOdometry
+from slam.logs.errors import LogError
+from slam.logs.importers import carmen_lines
+from slam.logs.importers.carmen_lines import LaserLine, LineError, Reach
+from slam.logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
+from slam.logs.importers.text_lines import lines
+from slam.logs.messages import WheelOdometry
 
 _REACH_PARAMS = {
     b"robot_front_laser_max",

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from logs.messages import LaserScan
+from slam.logs.messages import LaserScan
 
 SENTINEL_M = 50.0
 """From here on a SICK's reading means "nothing came back" unless the log declares a reach.

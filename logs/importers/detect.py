@@ -6,15 +6,15 @@ from collections import Counter
 from itertools import islice
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.importers import g2o_scans
-from logs.importers.breezyslam import FIELDS, read_breezyslam
-from logs.importers.carmen import KINDS, read_carmen
-from logs.importers.g2o_scans import read_g2o_scans
-from logs.importers.imported import ImportedLog, StreamedLog
-from logs.importers.rosbag import read_rosbag
-from logs.importers.text_lines import lines
-from logs.mcap_file import MAGIC
+from slam.logs.errors import LogError
+from slam.logs.importers import g2o_scans
+from slam.logs.importers.breezyslam import FIELDS, read_breezyslam
+from slam.logs.importers.carmen import KINDS, read_carmen
+from slam.logs.importers.g2o_scans import read_g2o_scans
+from slam.logs.importers.imported import ImportedLog, StreamedLog
+from slam.logs.importers.rosbag import read_rosbag
+from slam.logs.importers.text_lines import lines
+from slam.logs.mcap_file import MAGIC
 
 SUPPORTED = (
     "CARMEN (.clf, .log) and BreezySLAM (.dat) logs, plain or gzipped, ROS 1 bags, ROS 2 bags "

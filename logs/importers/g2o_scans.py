@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.importers import carmen_lines
-from logs.importers.carmen_lines import LineError, Reach
-from logs.importers.imported import ImportedLog
-from logs.importers.text_lines import LINE_LIMIT, lines
-from logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
+from slam.logs.errors import LogError
+from slam.logs.importers import carmen_lines
+from slam.logs.importers.carmen_lines import LineError, Reach
+from slam.logs.importers.imported import ImportedLog
+from slam.logs.importers.text_lines import LINE_LIMIT, lines
+from slam.logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
 
 ZIP_MAGIC = b"PK\x03\x04"
 KINDS = {b"VERTEX_SE2", b"EDGE_SE2"}

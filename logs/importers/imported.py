@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
+from slam.logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
 
 
 @dataclass(frozen=True, eq=False, slots=True)

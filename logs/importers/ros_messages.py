@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-
-from logs.messages import LaserScan
+from slam.logs.messages import LaserScan
 
 
 def stamp_of(stamp: Any) -> int:

@@ -27,13 +27,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from logs.errors import LogError, shown
-from logs.importers.imported import StreamedLog
-from logs.importers.ros_frames import TILT_RAD, FrameTree, Mount, plain, yaw_of
-from logs.importers.ros_messages import mirrored, scan_of, stamp_of
-from logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
-from logs.schemas import STAMP_LIMIT
+from slam.logs.errors import LogError, shown
+from slam.logs.importers.imported import StreamedLog
+from slam.logs.importers.ros_frames import TILT_RAD, FrameTree, Mount, plain, yaw_of
+from slam.logs.importers.ros_messages import mirrored, scan_of, stamp_of
+from slam.logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
+from slam.logs.schemas import STAMP_LIMIT
 
 _SCAN = "sensor_msgs/msg/LaserScan"
 _ODOMETRY = "nav_msgs/msg/Odometry"

@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import IO
 
-from logs.errors import LogError
+from slam.logs.errors import LogError
 
 LINE_LIMIT = 1 << 20
 """Longest line that is read (bytes): 40 times a scan of 1081 beams with 17 digits each."""

@@ -6,8 +6,7 @@ from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 from hypothesis import given
 from hypothesis import strategies as st
-
-from backend.edges import Edge, relative_covariance
+from slam.backend.edges import Edge, relative_covariance
 
 far = st.builds(Pose2, *[st.floats(-50, 50)] * 2, st.floats(-3.1, 3.1))
 near = st.builds(Pose2, *[st.floats(-1e-7, 1e-7)] * 3)  # where small-angle formulas take over

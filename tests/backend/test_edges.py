@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from backend.edges import Edge, GraphError
+from slam.backend.edges import Edge, GraphError
 
 
 def with_entry(row, column, value):

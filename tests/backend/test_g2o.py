@@ -8,9 +8,8 @@ from gtsam import Pose2
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
-from backend.edges import Edge, GraphError
-from backend.g2o import read_g2o, write_g2o
+from slam.backend.edges import Edge, GraphError
+from slam.backend.g2o import read_g2o, write_g2o
 
 numbers = st.floats(-1e6, 1e6)
 

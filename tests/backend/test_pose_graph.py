@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from backend.edges import Edge, GraphError
-from backend.pose_graph import GraphConfig, PoseGraph
+from slam.backend.edges import Edge, GraphError
+from slam.backend.pose_graph import GraphConfig, PoseGraph
 
 SHARP = np.diag([1e4, 1e4, 1e5])  # sigmas of 1 cm and 0.18 deg
 LOOSE = np.diag([400.0, 400.0, 2500.0])  # sigmas of 5 cm and 1.1 deg

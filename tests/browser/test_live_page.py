@@ -5,18 +5,18 @@ import re
 
 import pytest
 from playwright.sync_api import expect
+from slam.drivers.simulators.drive import simulate
+from slam.drivers.simulators.laser import LASERS
+from slam.drivers.simulators.robot import ODOMETRY_NOISE
+from slam.drivers.simulators.worlds import scenario
 
-from drivers.simulators.drive import simulate
-from drivers.simulators.laser import LASERS
-from drivers.simulators.robot import ODOMETRY_NOISE
-from drivers.simulators.worlds import scenario
-from slam.config import load_config
-from slam.live.server import LiveServer
-from slam.live.viewers import Viewers
-from slam.offline import feed, finish
-from slam.onboard.status import Status
-from slam.pipeline import Slam
-from slam.stopwatch import NoWatch
+from slam.mapping.slam import Slam
+from slam.mapping.stage_timer import NullTimer
+from slam.runs.config_file import load_config
+from slam.runs.offline import feed, finish
+from slam.runs.status import Status
+from slam.viewer.server import LiveServer
+from slam.viewer.viewers import Viewers
 
 TOKEN = "a-token-of-the-operator"
 ALONE = ("ERR_CONNECTION_REFUSED", "WebSocket connection to")  # while the server is away
@@ -48,7 +48,7 @@ class LiveDrive:
 
     def end(self) -> None:
         self.slam.finish_input()
-        result = finish(self.slam, lambda: self._all, [], NoWatch(), lambda stage, done: None)
+        result = finish(self.slam, lambda: self._all, [], NullTimer(), lambda stage, done: None)
         self.viewers.finish(result)
 
 

@@ -1,12 +1,12 @@
 """The report in a real browser, cut off from every network."""
 
 import pytest
+from slam.drivers.simulators.drive import paper_drive
+from slam.logs.mcap_log import LogWriter
 
-from drivers.simulators.drive import paper_drive
-from logs.mcap_log import LogWriter
-from slam.config import load_config
-from slam.replay import replay
-from slam.reports.report import write_report
+from slam.evaluation.report.write import write_report
+from slam.runs.config_file import load_config
+from slam.runs.replay import replay
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from drivers.hokuyo import Hokuyo, HokuyoConfig
-from drivers.pioneer import Pioneer, PioneerConfig
-from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
-from drivers.simulators.hokuyo_models import MODELS
-from drivers.simulators.link import Line, MemoryLink, SimulatedTime
-from drivers.simulators.motion import TrackMotion
-from drivers.simulators.pioneer_device import PioneerDevice
-from drivers.simulators.robot import track_of
-from drivers.simulators.sweep import Sweeper
-from drivers.simulators.world import World
+from slam.drivers.hokuyo import Hokuyo, HokuyoConfig
+from slam.drivers.pioneer import Pioneer, PioneerConfig
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
+from slam.drivers.simulators.hokuyo_models import MODELS
+from slam.drivers.simulators.link import Line, MemoryLink, SimulatedTime
+from slam.drivers.simulators.motion import TrackMotion
+from slam.drivers.simulators.pioneer_device import PioneerDevice
+from slam.drivers.simulators.robot import track_of
+from slam.drivers.simulators.sweep import Sweeper
+from slam.drivers.simulators.world import World
 
 CAPTURES = Path(__file__).parents[2].parent / "shared" / "data" / "captures"
 ROOM = World.from_polygon([(-3, -2), (6, -2), (6, 2), (2, 2), (2, 3), (-3, 3)])

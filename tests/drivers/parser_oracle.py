@@ -1,20 +1,19 @@
 """What the parsers of both devices must hold to, whatever bytes come in."""
 
 import numpy as np
-
-from drivers.arcos_protocol import MAX_COUNT, Framer, encode_packet
-from drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
-from drivers.hokuyo_decoder import HokuyoDecoder
-from drivers.pioneer_decoder import PioneerDecoder
-from drivers.scip_protocol import (
+from slam.drivers.arcos_protocol import MAX_COUNT, Framer, encode_packet
+from slam.drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
+from slam.drivers.hokuyo_decoder import HokuyoDecoder
+from slam.drivers.pioneer_decoder import PioneerDecoder
+from slam.drivers.scip_protocol import (
     MAX_REPLY,
     ReplyFramer,
     encode_reply,
     information_line,
     with_sum,
 )
-from drivers.scip_scan import encode_scan
-from logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.drivers.scip_scan import encode_scan
+from slam.logs.messages import LaserScan, RawBytes, WheelOdometry
 
 PARAMETERS = {"MODL": "UTM-30LX", "DMIN": 23, "DMAX": 60000, "ARES": 1440, "AMIN": 0,
               "AMAX": 1080, "AFRT": 540, "SCAN": 2400}  # fmt: skip

@@ -1,8 +1,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.arcos_protocol import (
+from slam.drivers.arcos_protocol import (
     MAX_COUNT,
     Command,
     Framer,

@@ -3,9 +3,8 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.arcos_protocol import Framer, Id, decode_command
-from drivers.arcos_reports import (
+from slam.drivers.arcos_protocol import Framer, Id, decode_command
+from slam.drivers.arcos_reports import (
     CONFIG,
     STANDARD,
     ConfigReport,

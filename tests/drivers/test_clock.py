@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.clock import ClockConfig, DeviceClock, lower_edge
+from slam.drivers.clock import ClockConfig, DeviceClock, lower_edge
 
 WRAP = 1 << 24
 EPOCH = 1_700_000_000_000_000_000

@@ -3,14 +3,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from drivers.arcos_protocol import encode_command, encode_packet
-from drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
-from drivers.hokuyo_decoder import HokuyoDecoder
-from drivers.pioneer_decoder import MODELS, PioneerDecoder
-from drivers.scip_protocol import encode_number, encode_reply, information_line, with_sum
-from drivers.scip_scan import ScanRequest, encode_scan
-from logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.drivers.arcos_protocol import encode_command, encode_packet
+from slam.drivers.arcos_reports import Identity, StandardReport, encode_identity, encode_standard
+from slam.drivers.hokuyo_decoder import HokuyoDecoder
+from slam.drivers.pioneer_decoder import MODELS, PioneerDecoder
+from slam.drivers.scip_protocol import encode_number, encode_reply, information_line, with_sum
+from slam.drivers.scip_scan import ScanRequest, encode_scan
+from slam.logs.messages import LaserScan, RawBytes, WheelOdometry
 
 EPOCH = 1_700_000_000_000_000_000
 CYCLE = 100_000_000

@@ -4,15 +4,20 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from drivers.simulators.drive import BASE_T_LASER, EPOCH_NS, dead_reckoning, paper_drive, simulate
-from drivers.simulators.faults import OdometryFault
-from drivers.simulators.laser import LASERS
-from drivers.simulators.path import Leg
-from drivers.simulators.robot import ODOMETRY_NOISE, drive
-from drivers.simulators.world import World
-from drivers.simulators.worlds import Scenario, scenario
-from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.drivers.simulators.drive import (
+    BASE_T_LASER,
+    EPOCH_NS,
+    dead_reckoning,
+    paper_drive,
+    simulate,
+)
+from slam.drivers.simulators.faults import OdometryFault
+from slam.drivers.simulators.laser import LASERS
+from slam.drivers.simulators.path import Leg
+from slam.drivers.simulators.robot import ODOMETRY_NOISE, drive
+from slam.drivers.simulators.world import World
+from slam.drivers.simulators.worlds import Scenario, scenario
+from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
 
 # Ahead for 3 m, back for 2 m: long enough for every fault, short enough for many drives.
 SHUTTLE = Scenario(

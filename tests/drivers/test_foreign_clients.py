@@ -6,18 +6,17 @@ import time
 
 import numpy as np
 import pytest
-
-from drivers.arcos_protocol import Id
-from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
-from drivers.simulators.hokuyo_models import MODELS
-from drivers.simulators.link import Line
-from drivers.simulators.motion import CommandedMotion, TrackMotion
-from drivers.simulators.pioneer_build import PioneerBuild
-from drivers.simulators.pioneer_device import PioneerDevice
-from drivers.simulators.robot import track_of
-from drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
-from drivers.simulators.sweep import Sweeper
-from drivers.simulators.world import World
+from slam.drivers.arcos_protocol import Id
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
+from slam.drivers.simulators.hokuyo_models import MODELS
+from slam.drivers.simulators.link import Line
+from slam.drivers.simulators.motion import CommandedMotion, TrackMotion
+from slam.drivers.simulators.pioneer_build import PioneerBuild
+from slam.drivers.simulators.pioneer_device import PioneerDevice
+from slam.drivers.simulators.robot import track_of
+from slam.drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
+from slam.drivers.simulators.sweep import Sweeper
+from slam.drivers.simulators.world import World
 
 ROOM = World.from_polygon([(-3, -2), (6, -2), (6, 2), (-3, 3)])
 

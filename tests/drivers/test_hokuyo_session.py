@@ -4,17 +4,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from drivers.errors import LinkLost, NoReply, Refused, WrongDevice
-from drivers.hokuyo import HokuyoConfig
-from drivers.simulators.drive import BASE_T_LASER, EPOCH_NS
-from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
-from drivers.simulators.hokuyo_models import MODELS
-from drivers.simulators.laser import LaserConfig, take_scan
-from drivers.simulators.link import WireFaults
-from drivers.simulators.sweep import Sweeper
-from drivers.simulators.world import World
-from logs.messages import LaserScan, RawBytes
+from slam.drivers.errors import LinkLost, NoReply, Refused, WrongDevice
+from slam.drivers.hokuyo import HokuyoConfig
+from slam.drivers.simulators.drive import BASE_T_LASER, EPOCH_NS
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
+from slam.drivers.simulators.hokuyo_models import MODELS
+from slam.drivers.simulators.laser import LaserConfig, take_scan
+from slam.drivers.simulators.link import WireFaults
+from slam.drivers.simulators.sweep import Sweeper
+from slam.drivers.simulators.world import World
+from slam.logs.messages import LaserScan, RawBytes
 
 ROOM = World.from_polygon([(-3, -2), (6, -2), (6, 2), (2, 2), (2, 3), (-3, 3)])  # the bench's
 PAPER = {"angle_min": -math.pi / 2, "angle_max": math.pi / 2, "cluster": 4}
@@ -248,7 +247,7 @@ def test_no_sensor_and_no_parameters_are_told_as_such(laser_bench, monkeypatch):
     with pytest.raises(NoReply, match="powered"):
         bench.session.connect()
     bench = laser_bench()
-    monkeypatch.setattr("drivers.simulators.hokuyo_device.parameters", lambda model: [])
+    monkeypatch.setattr("slam.drivers.simulators.hokuyo_device.parameters", lambda model: [])
     with pytest.raises(WrongDevice, match="no parameters"):
         bench.session.connect()
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from scipy.stats import kstest
-
-from drivers.simulators.laser import LASERS, LaserConfig, take_moving_scan, take_scan
-from drivers.simulators.world import World
+from slam.drivers.simulators.laser import LASERS, LaserConfig, take_moving_scan, take_scan
+from slam.drivers.simulators.world import World
 
 ROOM = World.from_polygon([(0, 0), (10, 0), (10, 8), (0, 8)])
 QUIET = replace(LASERS["hokuyo-181"], sigma=0.0, quantum=0.0)

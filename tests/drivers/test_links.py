@@ -4,11 +4,10 @@ import time
 
 import pytest
 import serial
-
-from drivers.errors import LinkLost, PortError
-from drivers.ports import open_port
-from drivers.simulators.link import Line, MemoryLink, SimulatedTime, WireFaults
-from drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
+from slam.drivers.errors import LinkLost, PortError
+from slam.drivers.ports import open_port
+from slam.drivers.simulators.link import Line, MemoryLink, SimulatedTime, WireFaults
+from slam.drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
 
 
 class Ticker:

@@ -2,8 +2,7 @@ import math
 from itertools import pairwise
 
 import pytest
-
-from drivers.motion import MotionConfig, MotionGuard
+from slam.drivers.motion import MotionConfig, MotionGuard
 
 SECOND = 1_000_000_000
 

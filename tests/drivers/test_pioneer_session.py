@@ -1,14 +1,13 @@
 import pytest
-
-from drivers.arcos_protocol import Framer, Id, decode_command, encode_command
-from drivers.errors import LinkLost, NoReply, PortError, Refused, WrongDevice
-from drivers.motion import MotionConfig
-from drivers.pioneer import PASSIVE, PioneerConfig
-from drivers.pioneer_decoder import MODELS
-from drivers.simulators.link import WireFaults
-from drivers.simulators.motion import CommandedMotion
-from drivers.simulators.pioneer_build import PioneerBuild
-from logs.messages import RawBytes, WheelOdometry
+from slam.drivers.arcos_protocol import Framer, Id, decode_command, encode_command
+from slam.drivers.errors import LinkLost, NoReply, PortError, Refused, WrongDevice
+from slam.drivers.motion import MotionConfig
+from slam.drivers.pioneer import PASSIVE, PioneerConfig
+from slam.drivers.pioneer_decoder import MODELS
+from slam.drivers.simulators.link import WireFaults
+from slam.drivers.simulators.motion import CommandedMotion
+from slam.drivers.simulators.pioneer_build import PioneerBuild
+from slam.logs.messages import RawBytes, WheelOdometry
 
 
 def sent_ids(bench):
@@ -133,7 +132,7 @@ def test_no_robot_is_told_as_such(robot_bench):
 
 def test_a_robot_of_unknown_factors_is_refused(robot_bench, monkeypatch):
     bench = robot_bench()
-    monkeypatch.setattr("drivers.pioneer_decoder.MODELS", {"p3dx": MODELS["p3dx"]})
+    monkeypatch.setattr("slam.drivers.pioneer_decoder.MODELS", {"p3dx": MODELS["p3dx"]})
     with pytest.raises(WrongDevice, match="p3dx-sh"):
         bench.session.connect()
     again = robot_bench(model=MODELS["p3dx-sh"])

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-
-from drivers.arcos_protocol import Framer, Id, encode_command, encode_packet
-from drivers.arcos_reports import (
+from slam.drivers.arcos_protocol import Framer, Id, encode_command, encode_packet
+from slam.drivers.arcos_reports import (
     CONFIG,
     ENCODER,
     IO,
@@ -15,14 +14,14 @@ from drivers.arcos_reports import (
     encode_identity,
     encode_standard,
 )
-from drivers.errors import NoReply, WrongDevice
-from drivers.hokuyo import Hokuyo, HokuyoConfig
-from drivers.pioneer import Pioneer, PioneerConfig
-from drivers.pioneer_decoder import PioneerDecoder
-from drivers.scip_protocol import checksum, encode_reply
-from drivers.simulators.hokuyo_device import HokuyoBuild
-from drivers.simulators.link import SimulatedTime
-from logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.drivers.errors import NoReply, WrongDevice
+from slam.drivers.hokuyo import Hokuyo, HokuyoConfig
+from slam.drivers.pioneer import Pioneer, PioneerConfig
+from slam.drivers.pioneer_decoder import PioneerDecoder
+from slam.drivers.scip_protocol import checksum, encode_reply
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild
+from slam.drivers.simulators.link import SimulatedTime
+from slam.logs.messages import LaserScan, RawBytes, WheelOdometry
 
 MS = 1_000_000
 

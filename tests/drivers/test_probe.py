@@ -1,10 +1,9 @@
 import pytest
-
-from drivers.errors import PortError
-from drivers.probe import probe
-from drivers.simulators.hokuyo_device import HokuyoBuild
-from drivers.simulators.link import WireFaults
-from drivers.simulators.pioneer_build import PioneerBuild
+from slam.drivers.errors import PortError
+from slam.drivers.probe import probe
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild
+from slam.drivers.simulators.link import WireFaults
+from slam.drivers.simulators.pioneer_build import PioneerBuild
 
 
 def run(bench, **options):

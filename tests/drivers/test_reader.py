@@ -4,25 +4,24 @@ import time
 
 import numpy as np
 import pytest
-
-from drivers.connection import DeviceEvent, steady_utc
-from drivers.errors import DriverError
-from drivers.hokuyo import Hokuyo, HokuyoConfig
-from drivers.hokuyo_decoder import HokuyoDecoder
-from drivers.pioneer import Pioneer, PioneerConfig
-from drivers.pioneer_decoder import PioneerDecoder
-from drivers.reader import Backoff, DeviceReader
-from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
-from drivers.simulators.hokuyo_models import MODELS
-from drivers.simulators.link import Line, WireFaults
-from drivers.simulators.motion import scenario_motion
-from drivers.simulators.pioneer_build import PioneerBuild
-from drivers.simulators.pioneer_device import PioneerDevice
-from drivers.simulators.robot import ODOMETRY_NOISE
-from drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
-from drivers.simulators.sweep import Sweeper
-from drivers.simulators.worlds import scenario
-from logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.drivers.connection import DeviceEvent, steady_utc
+from slam.drivers.errors import DriverError
+from slam.drivers.hokuyo import Hokuyo, HokuyoConfig
+from slam.drivers.hokuyo_decoder import HokuyoDecoder
+from slam.drivers.pioneer import Pioneer, PioneerConfig
+from slam.drivers.pioneer_decoder import PioneerDecoder
+from slam.drivers.reader import Backoff, DeviceReader
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
+from slam.drivers.simulators.hokuyo_models import MODELS
+from slam.drivers.simulators.link import Line, WireFaults
+from slam.drivers.simulators.motion import scenario_motion
+from slam.drivers.simulators.pioneer_build import PioneerBuild
+from slam.drivers.simulators.pioneer_device import PioneerDevice
+from slam.drivers.simulators.robot import ODOMETRY_NOISE
+from slam.drivers.simulators.servers import PtyEndpoint, SimulatorServer, TcpEndpoint
+from slam.drivers.simulators.sweep import Sweeper
+from slam.drivers.simulators.worlds import scenario
+from slam.logs.messages import LaserScan, RawBytes, WheelOdometry
 
 
 def of(kind, received):

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.report_cycle import ReportCycle
+from slam.drivers.report_cycle import ReportCycle
 
 MS = 1_000_000
 EPOCH = 1_700_000_000_000_000_000

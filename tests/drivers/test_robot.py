@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from scipy.stats import chi2
-
-from drivers.simulators.path import Leg, MotionConfig
-from drivers.simulators.robot import (
+from slam.drivers.simulators.path import Leg, MotionConfig
+from slam.drivers.simulators.robot import (
     ODOMETRY_NOISE,
     OdometryNoise,
     drive,
@@ -12,7 +11,7 @@ from drivers.simulators.robot import (
     track_of,
     wheel_increments,
 )
-from drivers.simulators.worlds import SCENARIOS, scenario
+from slam.drivers.simulators.worlds import SCENARIOS, scenario
 
 SEEDS = 300
 

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
-
-from drivers.simulators.drive import BASE_T_LASER
-from drivers.simulators.paper_bed import BedConfig, paper_bed
-from drivers.simulators.robot import drive
-from drivers.simulators.worlds import SCENARIOS, scenario
+from slam.drivers.simulators.drive import BASE_T_LASER
+from slam.drivers.simulators.paper_bed import BedConfig, paper_bed
+from slam.drivers.simulators.robot import drive
+from slam.drivers.simulators.worlds import SCENARIOS, scenario
 
 LOOPS = ("office", "office-ring", "symmetric-corridors", "clutter", "mixed")
 REVERSING = ("corridor", *LOOPS)

@@ -1,8 +1,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.scip_protocol import (
+from slam.drivers.scip_protocol import (
     MAX_COMMAND,
     MAX_REPLY,
     Command,
@@ -20,7 +19,7 @@ from drivers.scip_protocol import (
     joined_data,
     with_sum,
 )
-from drivers.scip_status import status_name
+from slam.drivers.scip_status import status_name
 
 CAPTURES = ["example_utm_30lx", "example_urg_04lx", "example_uxm_30lx_e"]
 

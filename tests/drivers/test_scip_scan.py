@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.hokuyo import HokuyoConfig
-from drivers.scip_protocol import ReplyFramer, decode_information, encode_reply, with_sum
-from drivers.scip_scan import (
+from slam.drivers.hokuyo import HokuyoConfig
+from slam.drivers.scip_protocol import ReplyFramer, decode_information, encode_reply, with_sum
+from slam.drivers.scip_scan import (
     ScanRequest,
     SensorParameters,
     decode_request,

@@ -1,15 +1,14 @@
 import numpy as np
 import pytest
-
-from drivers.scip_protocol import ReplyFramer, decode_information, is_sound, with_sum
-from drivers.scip_scan import ScanRequest, decode_scan
-from drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
-from drivers.simulators.hokuyo_models import MODELS
-from drivers.simulators.link import Line
-from drivers.simulators.motion import TrackMotion
-from drivers.simulators.robot import track_of
-from drivers.simulators.sweep import Sweeper, clustered
-from drivers.simulators.world import World
+from slam.drivers.scip_protocol import ReplyFramer, decode_information, is_sound, with_sum
+from slam.drivers.scip_scan import ScanRequest, decode_scan
+from slam.drivers.simulators.hokuyo_device import HokuyoBuild, HokuyoDevice
+from slam.drivers.simulators.hokuyo_models import MODELS
+from slam.drivers.simulators.link import Line
+from slam.drivers.simulators.motion import TrackMotion
+from slam.drivers.simulators.robot import track_of
+from slam.drivers.simulators.sweep import Sweeper, clustered
+from slam.drivers.simulators.world import World
 
 ROOM = World.from_polygon([(-3, -2), (6, -2), (6, 2), (-3, 3)])
 

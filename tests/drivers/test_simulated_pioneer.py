@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
-
-from drivers.arcos_protocol import Framer, Id, encode_command, encode_packet, vel2_argument
-from drivers.arcos_reports import (
+from slam.drivers.arcos_protocol import Framer, Id, encode_command, encode_packet, vel2_argument
+from slam.drivers.arcos_reports import (
     CONFIG,
     ENCODER,
     IO,
@@ -14,12 +13,12 @@ from drivers.arcos_reports import (
     decode_io,
     decode_standard,
 )
-from drivers.simulators.drive import dead_reckoning
-from drivers.simulators.faults import TRACK_WIDTH_M, OdometryFault
-from drivers.simulators.motion import CommandedMotion
-from drivers.simulators.pioneer_build import PioneerBuild
-from drivers.simulators.pioneer_device import PioneerDevice
-from drivers.simulators.robot import ODOMETRY_NOISE, track_of
+from slam.drivers.simulators.drive import dead_reckoning
+from slam.drivers.simulators.faults import TRACK_WIDTH_M, OdometryFault
+from slam.drivers.simulators.motion import CommandedMotion
+from slam.drivers.simulators.pioneer_build import PioneerBuild
+from slam.drivers.simulators.pioneer_device import PioneerDevice
+from slam.drivers.simulators.robot import ODOMETRY_NOISE, track_of
 
 
 class Client:

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-
-from drivers.arcos_protocol import BAUD_CODES, Id, checksum, encode_command
-from drivers.arcos_reports import decode_config, decode_encoders, decode_io, decode_standard
-from drivers.scip_protocol import (
+from slam.drivers.arcos_protocol import BAUD_CODES, Id, checksum, encode_command
+from slam.drivers.arcos_reports import decode_config, decode_encoders, decode_io, decode_standard
+from slam.drivers.scip_protocol import (
     Command,
     ReplyFramer,
     data_lines,
@@ -13,7 +12,7 @@ from drivers.scip_protocol import (
     decode_information,
     encode_number,
 )
-from drivers.scip_scan import (
+from slam.drivers.scip_scan import (
     SensorParameters,
     decode_request,
     decode_scan,
@@ -21,7 +20,7 @@ from drivers.scip_scan import (
     parameters_from,
     ranges_m,
 )
-from drivers.scip_status import status_name
+from slam.drivers.scip_status import status_name
 
 # Section 2: offset from the packet's start, width, field, what decoding makes of all bits set.
 STANDARD = [

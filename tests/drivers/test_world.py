@@ -3,9 +3,8 @@ import pytest
 from gtsam import Pose2
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from drivers.simulators.outlines import box, pillar
-from drivers.simulators.world import World
+from slam.drivers.simulators.outlines import box, pillar
+from slam.drivers.simulators.world import World
 
 BEARINGS = np.radians(np.arange(-135.0, 135.1, 0.25))
 FAR = 1e6  # m, out of the way of every test that is not about range_max

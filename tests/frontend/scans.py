@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 from gtsam import Pose2
-
-from drivers.simulators.laser import LASERS, LaserConfig, take_scan
-from drivers.simulators.world import World
-from frontend.matching import MatchConfig, Prior, Reference, match
-from frontend.scan import ScanConfig, prepare
-from logs.messages import LaserMount
+from slam.drivers.simulators.laser import LASERS, LaserConfig, take_scan
+from slam.drivers.simulators.world import World
+from slam.frontend.match_types import MatchConfig, Prior, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import ScanConfig, prepare
+from slam.logs.messages import LaserMount
 
 CENTRED = LaserMount(0, 0.0, 0.0, 0.0)
 SCAN = ScanConfig()

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.drivers.simulators.laser import LaserConfig
+from slam.frontend import psm
+from slam.frontend.compiled import kernel
+from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.matching import match
+from slam.frontend.ndt import build_cells
 
-from drivers.simulators.laser import LaserConfig
-from frontend import psm
-from frontend.compiled import kernel
-from frontend.matching import MatchConfig, Reference, match
-from frontend.ndt import build_cells
 from tests.frontend.scans import (
     ALL_ROUND,
     FINE,

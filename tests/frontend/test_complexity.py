@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
-from frontend.complexity import (
+from slam.frontend.complexity import (
     WallSums,
     layered_sums,
     object_score,

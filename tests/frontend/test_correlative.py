@@ -8,10 +8,9 @@ from gtsam import Pose2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
-from drivers.simulators.laser import LASERS, take_scan
-from drivers.simulators.world import World
-from frontend.correlative import (
+from slam.drivers.simulators.laser import LASERS, take_scan
+from slam.drivers.simulators.world import World
+from slam.frontend.correlative import (
     CorrelativeConfig,
     LikelihoodField,
     Window,
@@ -19,8 +18,8 @@ from frontend.correlative import (
     search,
     thin,
 )
-from frontend.scan import ScanConfig, prepare
-from logs.messages import LaserMount
+from slam.frontend.scan import ScanConfig, prepare
+from slam.logs.messages import LaserMount
 
 APART = 0.35  # m
 

@@ -6,24 +6,25 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from drivers.simulators.laser import LASERS, LaserConfig, take_scan
-from drivers.simulators.robot import drive
-from drivers.simulators.world import World
-from drivers.simulators.worlds import scenario
-from frontend.information import (
+from slam.drivers.simulators.laser import LASERS, LaserConfig, take_scan
+from slam.drivers.simulators.robot import drive
+from slam.drivers.simulators.world import World
+from slam.drivers.simulators.worlds import scenario
+from slam.frontend.information import (
     Outlook,
     best_distance,
     best_turn,
     distance_of_overlap,
     informations,
 )
-from frontend.keyframes import KeyframeConfig
-from frontend.matching import MatchConfig, Prior, Reference, match
-from frontend.scan import ScanConfig, prepare
-from logs.messages import LaserMount, LaserScan
-from slam.bench.pareto_drives import permuted
-from slam.odometry import OdometryConfig
+from slam.frontend.keyframes import KeyframeConfig
+from slam.frontend.match_types import MatchConfig, Prior, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import ScanConfig, prepare
+from slam.logs.messages import LaserMount, LaserScan
+
+from benchmarks.keyframe_interval.drives import permuted
+from slam.mapping.odometry import OdometryConfig
 
 MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
 SCAN, MATCH, ODOMETRY = ScanConfig(), MatchConfig(), OdometryConfig()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slam.frontend import covariance_kernels, icp_kernels, scan_kernels
+from slam.frontend.compiled import kernel
+from slam.frontend.scan import LINE, prepare
+from slam.logs.messages import LaserMount, LaserScan
 
-from frontend import covariance_kernels, icp_kernels, scan_kernels
-from frontend.compiled import kernel
-from frontend.scan import LINE, prepare
-from logs.messages import LaserMount, LaserScan
 from tests.conftest import stale
 from tests.frontend.scans import CENTRED, SCAN
 

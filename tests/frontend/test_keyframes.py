@@ -6,12 +6,11 @@ from gtsam import Pose2
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-
-from drivers.simulators.laser import LASERS, take_scan
-from drivers.simulators.world import World
-from frontend.keyframes import Interval, KeyframeConfig, interval_after, reason_to_keep
-from frontend.scan import ScanConfig, prepare
-from logs.messages import LaserMount
+from slam.drivers.simulators.laser import LASERS, take_scan
+from slam.drivers.simulators.world import World
+from slam.frontend.keyframes import Interval, KeyframeConfig, interval_after, reason_to_keep
+from slam.frontend.scan import ScanConfig, prepare
+from slam.logs.messages import LaserMount
 
 MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
 PLAIN = World(np.array([[-20.0, 1.5, 20.0, 1.5], [-20.0, -1.5, 20.0, -1.5]]))

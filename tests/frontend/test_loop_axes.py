@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.drivers.simulators.worlds import scenario
+from slam.frontend.loop_axes import seen_from_both_sides, weak_axis, without_blind_axis
 
-from drivers.simulators.worlds import scenario
-from frontend.loop_axes import seen_from_both_sides, weak_axis, without_blind_axis
 from tests.frontend.scans import (
     ALL_ROUND,
     BUILDING,

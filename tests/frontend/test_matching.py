@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from scipy.stats import chi2
+from slam.drivers.simulators.laser import LaserConfig
+from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import prepare
+from slam.logs.messages import LaserMount, LaserScan
 
-from drivers.simulators.laser import LaserConfig
-from frontend.matching import MatchConfig, Reference, match
-from frontend.scan import prepare
-from logs.messages import LaserMount, LaserScan
-from slam.tracking import disagreement
+from slam.mapping.registration import disagreement
 from tests.frontend.scans import (
     ALL_ROUND,
     BUILDING,

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.drivers.simulators.robot import drive
+from slam.drivers.simulators.world import World
+from slam.drivers.simulators.worlds import scenario
+from slam.frontend.match_types import MatchConfig
 
-from drivers.simulators.robot import drive
-from drivers.simulators.world import World
-from drivers.simulators.worlds import scenario
-from frontend.matching import MatchConfig
-from slam.bench.consistency import WORLDS, consistency
+from benchmarks.matcher.consistency import WORLDS, consistency
 from tests.frontend.scans import ENDLESS, HOKUYO, error_of, match_one, prior_at, see
 
 MOTION = Pose2(0.3, 0.02, 0.1)

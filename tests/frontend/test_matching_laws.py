@@ -7,13 +7,14 @@ import pytest
 from gtsam import Pose2
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slam.frontend import icp_kernels
+from slam.frontend.compiled import kernel
+from slam.frontend.icp_kernels import COST, PAIRS, SYSTEM
+from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import prepare
+from slam.logs.messages import LaserMount, LaserScan
 
-from frontend import icp_kernels
-from frontend.compiled import kernel
-from frontend.icp_kernels import COST, PAIRS, SYSTEM
-from frontend.matching import MatchConfig, Reference, match
-from frontend.scan import prepare
-from logs.messages import LaserMount, LaserScan
 from tests.frontend.scans import (
     ALL_ROUND,
     CENTRED,

@@ -8,11 +8,10 @@ from gtsam import Pose2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
-from drivers.simulators.laser import LASERS, LaserConfig, take_scan
-from drivers.simulators.world import World
-from frontend.scan import LINE, VALID, ScanConfig, prepare
-from logs.messages import LaserMount, LaserScan
+from slam.drivers.simulators.laser import LASERS, LaserConfig, take_scan
+from slam.drivers.simulators.world import World
+from slam.frontend.scan import LINE, VALID, ScanConfig, prepare
+from slam.logs.messages import LaserMount, LaserScan
 
 CENTRED = LaserMount(0, 0.0, 0.0, 0.0)
 ROOM = World.from_polygon([(-3, -2), (5, -2), (5, 3), (-3, 3)])

@@ -8,4 +8,4 @@ import pytest
 @pytest.fixture
 def no_sync(monkeypatch):
     """Let thousands of files be written without waiting for the disk each time."""
-    monkeypatch.setattr("logs.partial.os.fsync", lambda _: None)
+    monkeypatch.setattr("slam.logs.partial.os.fsync", lambda _: None)

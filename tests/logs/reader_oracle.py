@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
-
-from logs import protos
-from logs.doctor import diagnose
-from logs.errors import LogError
-from logs.mcap_log import open_log
-from logs.messages import (
+from slam.logs import protos
+from slam.logs.doctor import diagnose
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import open_log
+from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     KeyframeDecision,
@@ -28,10 +27,11 @@ from logs.messages import (
     RawBytes,
     WheelOdometry,
 )
-from logs.parts import Recording
-from logs.recover import recover
-from logs.schemas import CHANNELS, encode, topic_of
-from slam.inspect import describe_log
+from slam.logs.parts import Recording
+from slam.logs.recover import recover
+from slam.logs.schemas import CHANNELS, encode, topic_of
+
+from slam.tools.inspect import describe_log
 
 NINE = (0.1,) * 9
 MESSAGES: tuple[Message, ...] = (

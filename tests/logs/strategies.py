@@ -8,8 +8,7 @@ from dataclasses import fields
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
-from logs.messages import (
+from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     KeyframeDecision,

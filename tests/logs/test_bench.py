@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from logs.bench import SENSORS, Sensors, _in_fresh_process, _write, drive, log_rows
+from benchmarks.log_speed import SENSORS, Sensors, _in_fresh_process, _write, drive, log_rows
 
 
 def test_a_small_table(tmp_path: Path):

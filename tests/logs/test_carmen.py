@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from slam.logs.errors import LogError
+from slam.logs.exporters.carmen import carmen_lines, write_carmen
+from slam.logs.importers.carmen import read_carmen
+from slam.logs.importers.carmen_lines import SENTINEL_M, parse_stamp
+from slam.logs.importers.detect import read_any
+from slam.logs.importers.imported import ImportedLog
+from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
 
-from logs.errors import LogError
-from logs.exporters.carmen import carmen_lines, write_carmen
-from logs.importers.carmen import read_carmen
-from logs.importers.carmen_lines import SENTINEL_M, parse_stamp
-from logs.importers.detect import read_any
-from logs.importers.imported import ImportedLog
-from logs.messages import LaserMount, LaserScan, WheelOdometry
 from tests.logs.strategies import content
 
 

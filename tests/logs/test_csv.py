@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.errors import LogError
-from logs.exporters.csv import write_csv
-from logs.messages import (
+from slam.logs.errors import LogError
+from slam.logs.exporters.csv import write_csv
+from slam.logs.messages import (
     LaserScan,
     LoopVerdict,
     OccupancyMap,

@@ -3,12 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-from logs.errors import LogError
-from logs.importers.breezyslam import FIELDS, read_breezyslam
-from logs.importers.detect import read_any
-from logs.mcap_log import LogWriter
-from logs.messages import LaserScan, WheelOdometry
+from slam.logs.errors import LogError
+from slam.logs.importers.breezyslam import FIELDS, read_breezyslam
+from slam.logs.importers.detect import read_any
+from slam.logs.mcap_log import LogWriter
+from slam.logs.messages import LaserScan, WheelOdometry
 
 
 def rover_line(time_us: int, left: int, right: int) -> str:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from drivers.simulators.drive import simulate
-from drivers.simulators.worlds import scenario
-from logs.doctor import Diagnosis, Examination, diagnose
-from logs.mcap_log import LogWriter
-from logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.drivers.simulators.drive import simulate
+from slam.drivers.simulators.worlds import scenario
+from slam.logs.doctor import Diagnosis, Examination, diagnose
+from slam.logs.mcap_log import LogWriter
+from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
 
 START = 1_700_000_000_000_000_000
 S = 1_000_000_000

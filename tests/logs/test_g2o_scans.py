@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.errors import LogError
-from logs.importers.detect import read_any
-from logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.errors import LogError
+from slam.logs.importers.detect import read_any
+from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
 
 
 def scan_line(stamp: float, first: float = 1.0) -> str:

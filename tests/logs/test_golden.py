@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from slam.logs.doctor import diagnose
+from slam.logs.info import read_info
+from slam.logs.mcap_log import SCHEMA_VERSION, open_log
+from slam.logs.schemas import CHANNELS, topic_of
 
-from logs.doctor import diagnose
-from logs.info import read_info
-from logs.mcap_log import SCHEMA_VERSION, open_log
-from logs.schemas import CHANNELS, topic_of
 from tests.logs.golden.make_golden import digest
 
 FOLDER = Path(__file__).parent / "golden"

@@ -12,16 +12,15 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Footer, Header, Message, Schema
 from mcap.writer import Writer
-
-from logs.doctor import diagnose
-from logs.errors import LogError, shown
-from logs.info import read_info
-from logs.mcap_file import MAGIC
-from logs.mcap_log import LogWriter, open_log
-from logs.messages import LaserScan, LoopVerdict, WheelOdometry
-from logs.protos import descriptor_set
-from logs.recover import recover
-from logs.schemas import encode
+from slam.logs.doctor import diagnose
+from slam.logs.errors import LogError, shown
+from slam.logs.info import read_info
+from slam.logs.mcap_file import MAGIC
+from slam.logs.mcap_log import LogWriter, open_log
+from slam.logs.messages import LaserScan, LoopVerdict, WheelOdometry
+from slam.logs.protos import descriptor_set
+from slam.logs.recover import recover
+from slam.logs.schemas import encode
 
 
 def channel_records(topic: str = "/odom") -> bytes:

@@ -4,14 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.errors import TruncatedLog
-from logs.info import read_info
-from logs.mcap_log import LogWriter
-from logs.messages import LaserScan, RawBytes, WheelOdometry
-from logs.recover import recover
-from logs.sampled import Sampled
-from logs.timing import TimingCounter
+from slam.logs.errors import TruncatedLog
+from slam.logs.info import read_info
+from slam.logs.mcap_log import LogWriter
+from slam.logs.messages import LaserScan, RawBytes, WheelOdometry
+from slam.logs.recover import recover
+from slam.logs.sampled import Sampled
+from slam.logs.timing import TimingCounter
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.errors import LogError
-from logs.mcap_log import open_log
-from logs.messages import LaserScan, Message, WheelOdometry
-from logs.recorder import Recorder
-from logs.recording import RecorderConfig
-from logs.recover import recover
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import open_log
+from slam.logs.messages import LaserScan, Message, WheelOdometry
+from slam.logs.recorder import Recorder
+from slam.logs.recording import RecorderConfig
+from slam.logs.recover import recover
 
 GIVEN = struct.Struct("<Qd")  # number of a message, when the recorder got it
 PERIOD_S = 0.008

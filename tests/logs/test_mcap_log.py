@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
-
-from logs.errors import LogError, NewerSchema, TruncatedLog
-from logs.mcap_log import SCHEMA_VERSION, LogWriter, open_log
-from logs.messages import WheelOdometry
+from slam.logs.errors import LogError, NewerSchema, TruncatedLog
+from slam.logs.mcap_log import SCHEMA_VERSION, LogWriter, open_log
+from slam.logs.messages import WheelOdometry
 
 
 def odometry(n: int) -> list[WheelOdometry]:

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-
-from logs.errors import LogError
-from logs.mcap_log import LogWriter, open_log
-from logs.messages import (
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import LogWriter, open_log
+from slam.logs.messages import (
     FactorRecord,
     LaserScan,
     Message,
@@ -22,7 +21,8 @@ from logs.messages import (
     RawBytes,
     WheelOdometry,
 )
-from logs.schemas import CHANNELS, decode, encode, topic_of
+from slam.logs.schemas import CHANNELS, decode, encode, topic_of
+
 from tests.logs.strategies import content, messages, stamps
 
 

@@ -13,14 +13,14 @@ import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.stream_reader import StreamReader
+from slam.logs import protos
+from slam.logs.mcap_log import open_log
+from slam.logs.messages import LaserScan
+from slam.logs.recompress import recompress
+from slam.logs.recorder import Recorder
+from slam.logs.recording import RecorderConfig
+from slam.logs.recover import recover
 
-from logs import protos
-from logs.mcap_log import open_log
-from logs.messages import LaserScan
-from logs.recompress import recompress
-from logs.recorder import Recorder
-from logs.recording import RecorderConfig
-from logs.recover import recover
 from tests.logs.golden.make_golden import golden_messages
 
 SCRIPT = Path(__file__).with_name("read_with_mcap_core.mjs")

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.importers.detect import read_any
-from logs.importers.imported import ImportedLog
-from logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.importers.detect import read_any
+from slam.logs.importers.imported import ImportedLog
+from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 

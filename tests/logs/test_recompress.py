@@ -3,11 +3,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-from logs.errors import LogError
-from logs.mcap_log import LogWriter, open_log
-from logs.messages import WheelOdometry
-from logs.recompress import recompress
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import LogWriter, open_log
+from slam.logs.messages import WheelOdometry
+from slam.logs.recompress import recompress
 
 
 def write_small_chunks(path: Path, n: int = 400) -> None:

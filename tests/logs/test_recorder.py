@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from logs.errors import LogError
-from logs.mcap_log import open_log
-from logs.messages import LaserMount, LaserScan, Message, RawBytes, WheelOdometry
-from logs.part_writer import PartWriter
-from logs.recorder import Recorder
-from logs.recording import RecorderConfig
-from logs.recover import recover
+from slam.logs.errors import LogError
+from slam.logs.mcap_log import open_log
+from slam.logs.messages import LaserMount, LaserScan, Message, RawBytes, WheelOdometry
+from slam.logs.part_writer import PartWriter
+from slam.logs.recorder import Recorder
+from slam.logs.recording import RecorderConfig
+from slam.logs.recover import recover
 
 
 def odometry(k: int) -> WheelOdometry:

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
+from slam.logs.errors import LogError
+from slam.logs.mcap_file import MAGIC, walk
+from slam.logs.mcap_log import LogWriter, open_log
+from slam.logs.mcap_summary import read_summary
+from slam.logs.messages import LaserScan, WheelOdometry
+from slam.logs.recover import recover
 
-from logs.errors import LogError
-from logs.mcap_file import MAGIC, walk
-from logs.mcap_log import LogWriter, open_log
-from logs.mcap_summary import read_summary
-from logs.messages import LaserScan, WheelOdometry
-from logs.recover import recover
 from tests.logs.strategies import content
 
 

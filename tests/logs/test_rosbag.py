@@ -14,14 +14,13 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-
-from logs.errors import LogError
-from logs.exporters import ros2_messages as ros
-from logs.exporters.ros2 import write_ros2
-from logs.importers.detect import read_any
-from logs.importers.imported import StreamedLog
-from logs.importers.rosbag import read_rosbag
-from logs.messages import (
+from slam.logs.errors import LogError
+from slam.logs.exporters import ros2_messages as ros
+from slam.logs.exporters.ros2 import write_ros2
+from slam.logs.importers.detect import read_any
+from slam.logs.importers.imported import StreamedLog
+from slam.logs.importers.rosbag import read_rosbag
+from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     LaserMount,

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
-
-from drivers.simulators.laser import LASERS, take_scan
-from logs.messages import LaserMount, TruePose, WheelOdometry
+from slam.drivers.simulators.laser import LASERS, take_scan
+from slam.logs.messages import LaserMount, TruePose, WheelOdometry
 
 PERIOD_NS = 100_000_000  # 10 scans a second
 START_NS = 1_700_000_000_000_000_000

@@ -1,0 +1,1 @@
+"""Everything that `slam bench` measures; not part of the wheel."""

@@ -1,0 +1,1 @@
+"""`slam bench online-faults`: drives with device faults against fault-free ones."""

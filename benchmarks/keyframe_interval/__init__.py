@@ -1,0 +1,1 @@
+"""`slam bench pareto`: accuracy against the number of matches, by keyframe rule."""

@@ -1,0 +1,1 @@
+"""`slam bench matcher`: speed, accuracy, basin and honesty of single matches."""

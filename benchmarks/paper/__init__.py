@@ -1,0 +1,1 @@
+"""`slam bench paper` and `weights`: the seed paper's experiment."""

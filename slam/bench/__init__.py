@@ -1,1 +1,0 @@
-"""Everything that `slam bench` measures, one module a benchmark."""

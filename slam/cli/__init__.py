@@ -1,0 +1,1 @@
+"""The command line: each command only connects parts that live elsewhere."""

@@ -1,0 +1,239 @@
+"""The `slam` command: each subcommand only wires parts that live elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from slam.cli.batch import batch, tune
+from slam.cli.checkout import load_benchmarks
+from slam.cli.logs import LogArgument, doctor, export, import_, info, recover, simulate
+from slam.cli.online import drivers_app, online
+from slam.cli.options import (
+    LOCAL,
+    PORT,
+    AddressOption,
+    FoxgloveOption,
+    PortOption,
+    TokenOption,
+)
+from slam.cli.output import exit_on_loss, say
+
+app = typer.Typer(
+    name="slam",
+    help="2D laser SLAM for a Pioneer P3-DX and a Hokuyo: SDP-PE keyframes, ICP factors, GTSAM.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ConfigOption = Annotated[
+    Path | None, typer.Option(help="Configuration file (TOML).", readable=False)
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
+]
+TruthOption = Annotated[
+    Path | None,
+    typer.Option(help="Truth: relations, TUM trajectory, or surveyed poses (CSV).", readable=False),
+]
+
+
+class _From(StrEnum):
+    """What a replay takes its messages from."""
+
+    decoded = "decoded"
+    raw = "raw"
+
+
+def replay(
+    log: LogArgument,
+    out: Annotated[Path, typer.Option(help="RUN directory to make.")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+    from_: Annotated[
+        _From, typer.Option("--from", help="Logged messages, or the devices' raw bytes anew.")
+    ] = _From.decoded,
+    rate: Annotated[
+        float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as it goes.")
+    ] = 0.0,
+    resume: Annotated[
+        Path | None, typer.Option(help="RUN whose map to go on with.", readable=False)
+    ] = None,
+    start: Annotated[
+        str,
+        typer.Option(
+            help="With --resume, where in that map the log starts: `end` or x,y,theta in m and "
+            "rad; searched for if not given."
+        ),
+    ] = "",
+    view: Annotated[
+        bool, typer.Option("--view", help="Serve a page that shows the map grow.")
+    ] = False,
+    view_address: AddressOption = LOCAL,
+    view_port: PortOption = PORT,
+    view_token: TokenOption = "",
+    foxglove: FoxgloveOption = False,
+    processes: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="To place the scans with at the end; 0: one a core, at most 4. The result "
+            "is the same; with --view or --foxglove it is always 1.",
+        ),
+    ] = 0,
+) -> None:
+    """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
+    from slam.cli.progress import stage_progress
+    from slam.runs.config_file import load_config
+    from slam.runs.process_pool import worthwhile
+    from slam.runs.replay import replay as run_replay
+    from slam.runs.resume import read_past
+    from slam.viewer.viewers import ViewOptions, watched
+
+    if start and resume is None:
+        raise typer.BadParameter("--start says where in the map of --resume RUN the log starts")
+    settings = load_config(config, set_ or [])
+    past = read_past(resume, settings, start) if resume else None
+    options = ViewOptions(view, view_address, view_port, view_token, foxglove)
+    processes = processes or worthwhile()
+    if view or foxglove:
+        processes = 1  # threads serve the page: such a process must not be copied
+    with watched(options, say) as viewers, stage_progress(log) as progress:
+        raw = from_ is _From.raw
+        summary = run_replay(log, out, settings, progress, raw, rate, viewers, past, processes)
+    _tell_summary(out, summary)
+    exit_on_loss(summary["lost"], "lost")
+
+
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="RUN directories.", show_default=False)],
+    truth: TruthOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Page to write; report.json goes beside it.")
+    ] = None,
+) -> None:
+    """Judge runs by their truth: report.html for people, report.json for programs."""
+    from slam.evaluation.report.write import write_report
+
+    page = out or runs[0] / "report.html"
+    reports = write_report(runs, truth, page)
+    for found in reports:
+        _tell_figures(found.figures)
+        for warning in found.warnings:
+            say(f"  note: {warning}")
+    say(f"report: {page}")
+
+
+def reoptimise(
+    source: Annotated[Path, typer.Argument(help="RUN directory, or a g2o file.")],
+    out: Annotated[Path, typer.Option(help="RUN directory to make.")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+) -> None:
+    """Optimise a finished graph again, with other noise, kernels or closures."""
+    from slam.runs.reoptimise import reoptimise as run_reoptimise
+
+    summary = run_reoptimise(source, out, config, set_ or [])
+    loops = summary["loops"]
+    say(
+        f"{out}: {summary['keyframes']} poses, {summary['edges']} edges, "
+        f"error {summary['error_before']:.4g} -> {summary['error_after']:.4g}, "
+        f"{loops['rejected']} of {loops['candidates']} loops refused"
+    )
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Leave devices and wires out, where there are no ptys.")
+    ] = False,
+    real: Annotated[
+        bool, typer.Option("--real", help="Map a real building instead; needs the extra `demo`.")
+    ] = False,
+) -> None:
+    """Drive the paper's test bed on simulated devices; compare SDP-PE with constant intervals."""
+    if real:
+        from slam.tools.demo.real import run_real_demo
+
+        if direct:
+            raise typer.BadParameter("--real has no devices: leave --direct out")
+        run_real_demo(out, say)
+        return
+    from slam.tools.demo.demo import run_demo
+
+    run_demo(out, say, direct)
+
+
+def bench(
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="benchmark, batch, buildings, growth, matcher, memory, outliers, online, "
+            "online-faults, log, paper, pareto, view, weights"
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
+    data: Annotated[
+        Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")
+    ] = Path("../shared/data"),
+    quick: Annotated[bool, typer.Option(help="Fewer samples, for a first look.")] = False,
+    workers: Annotated[
+        int, typer.Option(min=0, help="Processes to spread `benchmark` or `pareto` over; 0: none.")
+    ] = 0,
+) -> None:
+    """Measure, print a table and write NAME.json."""
+    benchmarks = load_benchmarks()
+    benchmarks.run_bench(name, out, data, quick, say, workers)
+
+
+def _tell_summary(out: Path, summary: dict[str, Any]) -> None:
+    timing, loops = summary["timing"], summary["loops"]
+    typer.echo(
+        f"{out}: {summary['scans']} scans, {summary['keyframes']} keyframes, "
+        f"{summary['matches']} matches, {loops['accepted']} loops of {loops['candidates']} tried, "
+        f"{summary['distance_m']:.1f} m in {timing['wall_s']:.1f} s "
+        f"({timing['realtime_factor']:.0f}x real time)"
+    )
+
+
+def _tell_figures(figures: dict[str, Any]) -> None:
+    relations = figures.get("relations")
+    if relations:
+        typer.echo(
+            f"{figures['name']}: relations {relations['trans_mean_m']:.4f} +- "
+            f"{relations['trans_std_m']:.4f} m, {relations['rot_mean_deg']:.3f} +- "
+            f"{relations['rot_std_deg']:.3f} deg (n = {relations['n']}, "
+            f"{relations['missing']} missing)"
+        )
+    if figures.get("ate_rmse_m") is not None:
+        typer.echo(
+            f"{figures['name']}: ATE {figures['ate_rmse_m']:.4f} m rmse, final pose error "
+            f"{figures['final_pose_error_m']:.4f} m"
+        )
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "simulate": simulate,
+    "import": import_,
+    "online": online,
+    "replay": replay,
+    "report": report,
+    "info": info,
+    "doctor": doctor,
+    "recover": recover,
+    "export": export,
+    "reoptimise": reoptimise,
+    "batch": batch,
+    "tune": tune,
+    "bench": bench,
+    "demo": demo,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(command)
+app.add_typer(drivers_app, name="drivers")

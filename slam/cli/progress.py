@@ -1,0 +1,43 @@
+"""Progress bars on the terminal for anything that takes more than a moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from slam.logs.errors import LogError
+from slam.logs.parts import Recording
+from slam.runs.offline import Progress as Tell
+
+EVERY = 200  # messages between two updates: drawing must not cost time
+
+
+@contextmanager
+def stage_progress(log: Path) -> Iterator[Tell]:
+    """A bar per stage of a run over `log`, on stderr; silent where that is no terminal."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda stage, done: None
+        return
+    try:
+        counts = Recording(log).counts()
+    except LogError:  # the run itself will say it better
+        counts = {}
+    totals = {"tracking": sum(counts.values()), "localising": counts.get("/scan", 0)}
+    columns = TextColumn("{task.description:<12}"), BarColumn(), TimeRemainingColumn()
+    # No thread that draws by itself: a run may go on in copies of this process.
+    with Progress(*columns, console=console, transient=True, auto_refresh=False) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(stage: str, done: float) -> None:
+            if done % EVERY:
+                return
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=totals.get(stage))
+            bars.update(tasks[stage], completed=done, refresh=True)
+
+        yield tell

@@ -1,0 +1,1 @@
+"""Many runs: `slam batch` and `slam tune`."""

@@ -1,0 +1,1 @@
+"""The mapping algorithm: messages in, a pose graph out. No file, device, clock or thread."""

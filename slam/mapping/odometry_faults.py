@@ -1,0 +1,140 @@
+"""Which lie did the odometry tell?  Named after the fact, from matches that are trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+
+from slam.backend.chi_square import chi_square_limit
+from slam.frontend.match_types import MatchResult
+from slam.mapping.odometry import OdometryConfig
+
+OdometryLie = Literal["stall", "sign-flip", "slip", "jump", "distance"]
+
+DOUBTFUL = chi_square_limit(0.1, 3)  # an honest step in ten disagrees by more
+LEVER = 0.5  # m per rad: weighs turns against ways when the size of a motion is judged
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Step:
+    """A step between keyframes as the odometry has it, and as a trusted match has it."""
+
+    odometry: Pose2  # last_T_new
+    matched: Pose2
+    information: NDArray[np.float64]  # (3, 3) of the match, in the frame of the new keyframe
+    distance: float  # m along the matched way
+    turn: float  # rad along it, without sign
+    seconds: float
+
+    @classmethod
+    def of(cls, odometry: Pose2, result: MatchResult, seconds: float) -> Step:
+        """One step between neighbouring keyframes.
+
+        How far honest odometry may be off follows from the true motion, not from what it tells
+        itself: a lie would excuse itself by its size.
+        """
+        matched = result.target_T_source
+        distance, turn = float(np.hypot(matched.x(), matched.y())), abs(matched.theta())
+        return cls(odometry, matched, result.information, distance, turn, seconds)
+
+
+class LieDetector:
+    """Watches odometry and matches side by side and names each lie once, when it is evident.
+
+    A lie often lasts several keyframes, none of which refutes the odometry alone (a short step
+    of the wrong sign is within its error).  So doubtful steps of one kind that follow each
+    other are judged together, as one long step.
+    """
+
+    def __init__(self, config: OdometryConfig, false_alarm: float) -> None:
+        self._config = config
+        self._limit = chi_square_limit(false_alarm, 3)
+        self._run: Step | None = None  # doubtful steps so far, joined
+        self._kind: OdometryLie | None = None
+        self._named = False
+        self._other: tuple[OdometryLie, Step] | None = None  # steps of another kind after a name
+
+    def watch(self, step: Step, refused: bool) -> OdometryLie | None:
+        """The lie that this step makes evident; None for an honest one or one already named.
+
+        `refused` says that the odometry of this step was refuted all by itself.
+        """
+        if not refused and self._disagreement(step) <= DOUBTFUL:
+            self.forget()
+            return None
+        kind = kind_of(step.odometry, step.matched)
+        if self._named:
+            return self._after_the_name(step, kind)
+        if kind != self._kind:
+            self.forget()
+        self._run = step if self._run is None else _joined(self._run, step)
+        self._kind = kind
+        evident = refused or self._disagreement(self._run) > self._limit
+        self._named = bool(evident)
+        return kind if evident else None
+
+    def _after_the_name(self, step: Step, kind: OdometryLie) -> OdometryLie | None:
+        """Another name for the same run, if several of its steps in a row bear that one out.
+
+        Where a lie begins or ends, half a step may look like another kind.
+        """
+        if kind == self._kind:
+            self._other = None
+        elif self._other is None or self._other[0] != kind:
+            self._other = kind, step
+        else:
+            joined = _joined(self._other[1], step)
+            self._other = kind, joined
+            if self._disagreement(joined) > self._limit:
+                self._kind, self._other = kind, None
+                return kind
+        return None
+
+    def forget(self) -> None:
+        """The run of doubtful steps has ended."""
+        self._run, self._kind, self._named, self._other = None, None, False, None
+
+    def _disagreement(self, step: Step) -> float:
+        """Squared Mahalanobis distance of both motions, chi-square of 3 if both are honest."""
+        error = Pose2.Logmap(step.odometry.between(step.matched))
+        covariance = self._config.covariance(step.distance, step.turn, step.seconds)
+        known = np.linalg.inv(covariance)
+        weight = known - known @ np.linalg.solve(known + step.information, known)
+        return float(error @ weight @ error)
+
+
+def kind_of(odometry: Pose2, matched: Pose2) -> OdometryLie:
+    """The lie that would turn the true step `matched` into what the odometry says.
+
+    "stall": hardly any motion where there was some; "sign-flip": the way mirrored; "slip": a wrong
+    turn; "jump": far more way than there was; "distance": another wrong way.
+    """
+    told, true = _way(odometry), _way(matched)
+    turn_told, turn_true = LEVER * abs(odometry.theta()), LEVER * abs(matched.theta())
+    if np.hypot(*told) + turn_told < 0.5 * (np.hypot(*true) + turn_true):
+        return "stall"
+    if told @ true < 0.0 and np.hypot(*(told + true)) < 0.5 * np.hypot(*(told - true)):
+        return "sign-flip"
+    error = odometry.between(matched)
+    if LEVER * abs(error.theta()) > np.hypot(error.x(), error.y()):
+        return "slip"
+    if np.hypot(*told) > 2.0 * np.hypot(*true):
+        return "jump"
+    return "distance"
+
+
+def _way(step: Pose2) -> NDArray[np.float64]:
+    return np.array([step.x(), step.y()])
+
+
+def _joined(a: Step, b: Step) -> Step:
+    """Two steps as one; the worse-known match bounds what is known of both."""
+    weaker = min(a.information, b.information, key=lambda i: float(np.linalg.eigvalsh(i)[0]))
+    return Step(
+        a.odometry * b.odometry, a.matched * b.matched, 0.5 * weaker,
+        a.distance + b.distance, a.turn + b.turn, a.seconds + b.seconds,
+    )  # fmt: skip

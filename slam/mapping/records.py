@@ -1,0 +1,101 @@
+"""What a run keeps on record of its decisions, factors and poses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from gtsam import Pose2
+
+from slam.backend.pose_graph import Edge, PoseGraph
+from slam.backend.pruning import Renumbered
+from slam.frontend.keyframes import Interval
+from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict, PoseEstimate
+from slam.mapping.keyframe import Keyframe
+from slam.mapping.registration import Tracked
+
+Pair = TypeVar("Pair", FactorRecord, LoopVerdict)
+
+
+def decision_record(
+    scan: LaserScan, number: int, index: int, reason: str, moved: Pose2, interval: Interval,
+    tracked: Tracked | None,
+) -> KeyframeDecision:  # fmt: skip
+    """Why a scan became a keyframe.
+
+    Args:
+        scan: of the keyframe.
+        number: of the keyframe.
+        index: of the scan in the log.
+        reason: as `reason_to_keep` gives it.
+        moved: last-keyframe_T_this by odometry.
+        interval: that was chosen at the last keyframe.
+        tracked: what came of the match; None where there was none.
+    """
+    complexity, foresight = interval.complexity, interval.foresight
+    sums: tuple[float, ...] = complexity.sums if complexity else ()
+    sigmas: tuple[float, ...] = ()
+    if tracked is not None and tracked.match_trusted:
+        sigmas = tracked.result.sigmas
+    return KeyframeDecision(
+        scan.stamp_ns, number, index, reason, foresight.axis if foresight else "",
+        float(np.hypot(moved.x(), moved.y())), abs(moved.theta()), float(interval.length),
+        complexity.t_pe if complexity else float("nan"),
+        foresight.sigmas if foresight else sums, sigmas,
+    )  # fmt: skip
+
+
+def factor_record(stamp_ns: int, edge: Edge, used: bool, note: str) -> FactorRecord:
+    """A factor and what became of it; `note` says why it was refused, or what was odd."""
+    floor = 1e-9 * np.eye(3)  # a blind axis has no covariance to write down
+    covariance = np.linalg.inv(edge.information + floor)
+    return FactorRecord(
+        stamp_ns, edge.kind, edge.i, edge.j, edge.i_T_j.x(), edge.i_T_j.y(), edge.i_T_j.theta(),
+        tuple(covariance.ravel().tolist()), used, note,
+    )  # fmt: skip
+
+
+def estimate_record(stamp_ns: int, graph: PoseGraph, k: int, lost: bool) -> PoseEstimate:
+    """Where the graph has keyframe `k` just now, and how well it knows."""
+    x, y, theta = (float(v) for v in graph.poses[k])
+    covariance = tuple(graph.marginal(k).ravel().tolist())
+    return PoseEstimate(stamp_ns, x, y, theta, covariance, lost)
+
+
+class Records:
+    """What a pipeline has decided, used and found so far."""
+
+    def __init__(self) -> None:
+        self.decisions: list[KeyframeDecision] = []
+        self.factors: list[FactorRecord] = []
+        self.estimates: list[PoseEstimate] = []
+        self.thinned_out: Counter[str] = Counter()  # keyframes, and what was known of them
+
+    def add_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
+        """Keep a factor on record with what became of it."""
+        self.factors.append(factor_record(stamp_ns, edge, used, note))
+
+    def forget(self, keyframes: Sequence[Keyframe], index: Renumbered) -> None:
+        """Only counts are left of keyframes that leave the graph; the others get new indices."""
+        gone = {k.scan.stamp_ns for k in keyframes if not index.stays[k.index]}
+        self.decisions = [
+            replace(d, index=index(d.index)) for d in self.decisions if index.stays[d.index]
+        ]
+        self.factors, factors = pairs_left(self.factors, index)
+        self.estimates = [e for e in self.estimates if e.lost or e.stamp_ns not in gone]
+        refused = sum(f.kind == "odometry" and not f.used for f in factors)
+        self.thinned_out += Counter({"keyframes": len(gone), "odometry refused": refused})
+
+
+def pairs_left(pairs: Iterable[Pair], index: Renumbered) -> tuple[list[Pair], list[Pair]]:
+    """Records between keyframes that stay, under their new indices; and the others."""
+    left, gone = [], []
+    for pair in pairs:
+        if index.keeps(pair.i, pair.j):
+            left.append(replace(pair, i=index(pair.i), j=index(pair.j)))
+        else:
+            gone.append(pair)
+    return left, gone

@@ -1,0 +1,198 @@
+"""After optimisation: sharpen the graph once more, then find every scan's own pose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from gtsam import Pose2
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from slam.backend.pose_graph import Edge, PoseGraph
+from slam.frontend.match_types import MatchConfig, Prior, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import PreparedScan
+from slam.mapping.keyframe import Keyframe, view_centres
+
+Matrix = NDArray[np.float64]
+Matched = tuple[Pose2, float]  # map_T_base and the quality of the match
+
+
+class LocaliseConfig(BaseModel):
+    """Refinement after the loops are closed."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    every_scan: bool = Field(True, description="match every scan, not only the keyframes")
+    neighbours: int = Field(
+        4, ge=1, description="keyframes with the most similar view that a scan is matched against"
+    )
+    refine_passes: int = Field(0, ge=0, description="global passes that re-match neighbours")
+    refine_neighbours: int = Field(6, ge=2, description="keyframes in each such match")
+    radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
+    sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
+    sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
+    min_explained: float = Field(0.6, ge=0, le=1, description="share of pairs that must fit")
+    min_quality: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="share of beams that must fit, or other starts are tried, and "
+        "the guess is kept in the end",
+    )
+    good_quality: float = Field(
+        0.7,
+        ge=0,
+        le=1,
+        description="the same where the odometry was found out to lie: only beyond "
+        "this no other start is tried",
+    )
+
+
+def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
+    """The guess as a loose prior."""
+    return Prior(guess, np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2)
+
+
+def _kd_tree(points: Matrix) -> Any:
+    """A search tree over points (n, d); what it needs takes a quarter of a second to import."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
+def refine_edges(
+    keyframes: Sequence[Keyframe], graph: PoseGraph, config: LocaliseConfig, matcher: MatchConfig
+) -> list[Edge]:
+    """One more match of each keyframe against its neighbours in space, whatever their age.
+
+    Each match is joint, against the keyframes that look at the nearest, held where the graph has
+    them, and gives one edge to the nearest of those.
+    """
+    poses = graph.poses
+    centres = view_centres(keyframes, poses)
+    tree = _kd_tree(centres)
+    edges = []
+    for keyframe in keyframes:
+        k = keyframe.index
+        near = tree.query(
+            centres[k],
+            k=min(config.refine_neighbours + 1, len(poses)),  # and itself
+            distance_upper_bound=config.radius_m,
+        )[1]
+        chosen = [int(n) for n in np.atleast_1d(near) if n < len(poses) and n != k]
+        if not chosen:
+            continue
+        anchor = chosen[0]
+        base = graph.pose(anchor)
+        references = [Reference(base.between(graph.pose(n)), keyframes[n].prepared) for n in chosen]
+        guess = base.between(graph.pose(k))
+        result = match(references, keyframe.prepared, guess, matcher, prior_of(guess, config))
+        if not result.converged or result.explained < config.min_explained:
+            continue
+        kind: Literal["icp", "loop"] = "icp" if abs(anchor - k) == 1 else "loop"
+        edges.append(Edge(kind, anchor, k, result.target_T_source, result.information))
+    return edges
+
+
+@dataclass(frozen=True, slots=True)
+class _Located:
+    """The scan before: where it was thought to be, where it was found, how fast it came there."""
+
+    stamp_ns: int
+    guess: Pose2
+    found: Pose2
+    velocity: Matrix | None  # (3,) m, m, rad a ns in its own frame
+
+
+class ScanLocaliser:
+    """Finds the pose of scans, one after the other, among the optimised keyframes.
+
+    A scan is matched against the keyframes whose view is the most like its own: that look at about
+    the same from about the same place.  One that looks at the same from the other side shows other
+    faces of it, and pulls the match along.
+    """
+
+    def __init__(
+        self, keyframes: Sequence[Keyframe], poses: Matrix, config: LocaliseConfig,
+        matcher: MatchConfig,
+    ) -> None:  # fmt: skip
+        self._keyframes = keyframes
+        self._poses = [Pose2(*pose) for pose in poses]
+        self._tree = _kd_tree(np.hstack([view_centres(keyframes, poses), poses[:, :2]]))
+        self._config = config
+        self._matcher = matcher
+        self._last: _Located | None = None
+        self.matches = 0
+
+    def locate(
+        self, scan: PreparedScan, guess: Pose2, doubted: bool = False,
+        first: Matched | None = None, reach_m: float = math.inf,
+    ) -> Pose2:  # fmt: skip
+        """map_T_base of the next scan; the guess where nothing better is found.
+
+        The match from the guess needs no scan before it: who has made it already hands it in as
+        `first`.
+
+        Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
+        more than it should: then the search starts again from where the last scan was found.  A
+        match from the guess is good enough unless that odometry is `doubted`: in a corridor other
+        starts find other places that look alike.  What they find farther off than `reach_m`, and
+        a guess may be, is out of the question.
+        """
+        enough = self._config.good_quality if doubted else self._config.min_quality
+        best, best_quality = guess, self._config.min_quality
+        farthest = reach_m + 3.0 * self._config.sigma_trans
+        for start in (guess, *self._other_starts(scan.stamp_ns, guess)):
+            found, quality = first or self.match_from(scan, start)
+            first = None
+            self.matches += 1
+            away = guess.between(found)
+            if quality > best_quality and np.hypot(away.x(), away.y()) <= farthest:
+                best, best_quality = found, quality
+            if best_quality > enough:
+                break
+        self._last = self._located(scan.stamp_ns, guess, best)
+        return best
+
+    def _other_starts(self, stamp_ns: int, guess: Pose2) -> list[Pose2]:
+        """From the last scan on: as the odometry says, at the same speed, or not at all."""
+        last = self._last
+        if last is None:
+            return []
+        starts = [last.found * last.guess.between(guess)]
+        if last.velocity is not None:
+            starts.append(last.found * Pose2.Expmap(last.velocity * (stamp_ns - last.stamp_ns)))
+        return [*starts, last.found]
+
+    def _located(self, stamp_ns: int, guess: Pose2, found: Pose2) -> _Located:
+        last, velocity = self._last, None
+        if last is not None and stamp_ns > last.stamp_ns:
+            velocity = Pose2.Logmap(last.found.between(found)) / (stamp_ns - last.stamp_ns)
+        return _Located(stamp_ns, guess, found, velocity)
+
+    def match_from(self, scan: PreparedScan, guess: Pose2) -> Matched:
+        """The pose matched from one start and its quality, 0 where it is refused.
+
+        It changes nothing here, so that a copy of this process may call it as well.
+        """
+        count = min(self._config.neighbours, len(self._poses))
+        view = (*guess.transformFrom(scan.centre), guess.x(), guess.y())
+        near = np.atleast_1d(self._tree.query(view, k=count)[1])
+        base = self._poses[int(near[0])]
+        references = [
+            Reference(base.between(self._poses[int(n)]), self._keyframes[int(n)].prepared)
+            for n in near
+        ]
+        prior = prior_of(base.between(guess), self._config)
+        result = match(references, scan, prior.target_T_source, self._matcher, prior)
+        if not result.converged or result.explained < self._config.min_explained:
+            return guess, 0.0
+        error = np.abs(Pose2.Logmap(prior.target_T_source.between(result.target_T_source)))
+        if (error > 3.0 * np.sqrt(np.diag(prior.covariance))).any():
+            return guess, 0.0
+        return base * result.target_T_source, result.quality

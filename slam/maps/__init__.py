@@ -1,0 +1,1 @@
+"""Maps drawn from a finished graph: the occupancy grid and its files."""

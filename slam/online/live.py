@@ -1,0 +1,219 @@
+"""Two devices, one log, one pipeline: the part of an online run that lasts as long as the drive."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import deque
+from collections.abc import Callable
+
+from slam.drivers.connection import Clock, Received
+from slam.drivers.hokuyo import Hokuyo
+from slam.drivers.pioneer import Pioneer
+from slam.drivers.ports import Port, open_port
+from slam.drivers.reader import DeviceReader
+from slam.logs.messages import LaserScan, WheelOdometry
+from slam.logs.recorder import Recorder
+from slam.mapping.slam import Slam
+from slam.online.device_notes import clock_model, health, identity, line_of
+from slam.online.robot_config import RobotConfig
+from slam.online.sequencer import Intake, Taken
+from slam.runs.errors import RunError
+from slam.runs.observer import Nobody, Watcher
+from slam.runs.offline import feed
+from slam.runs.replay import TimedStep
+from slam.runs.status import Status, device_losses
+
+_LOOK_S = 0.1  # how soon a request to stop is noticed
+_DISK_S = 0.5  # s between two looks at whether recording has ended
+_NOTE_S = 5.0  # between two notes of losses and devices in the log
+
+
+class LiveRun:
+    """Threads read and record; the pipeline runs in the thread that calls `run`.
+
+    A pipeline that falls behind makes its inbox longer and delays nothing else.  `slam` is
+    None where only a recording is wanted.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        recorder: Recorder,
+        clock: Clock,
+        slam: Slam | None,
+        opener: Callable[[str, int], Port] = open_port,
+        watcher: Watcher | None = None,
+    ) -> None:
+        self.slam = slam
+        self.intake = Intake(recorder, hand_on=slam is not None)
+        self.robot = Pioneer(config.robot.driver(), self.intake, clock, opener)
+        self.laser = Hokuyo(config.laser.driver(), self.intake, clock, opener)
+        self.readers = [
+            DeviceReader(session, self.intake, clock=clock) for session in (self.robot, self.laser)
+        ]
+        self.timed = TimedStep()
+        self.latencies_ms = array("d")  # from a scan's last byte until `step` is done with it
+        self.searching_ms = array("d")  # likewise, of scans that came while a loop search ran
+        self.delays_ms = array("d")  # likewise, until it is used: it waits for odometry after it
+        self.cpu_share = 0.0  # of one core, while the devices were read
+        self.has_odometry = False
+        self.ended_by = ""  # why the run ended by itself
+        self._recorder, self._clock, self._mount = recorder, clock, config.mount
+        self._watcher = watcher or Nobody()
+        self._links = {"p3dx": "waiting", "laser": "waiting"}
+        self._said: dict[str, str] = {}
+        self._notices: list[str] = []
+        self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
+        self._age_s = 0.0
+        self._noted: dict[str, dict[str, str]] = {}  # metadata by its name
+        self._noted_ns = self._told_ns = self._began_ns = self._looked_ns = 0
+        self._told_scans = 0
+
+    def run(
+        self, stop: Callable[[], bool], tell: Callable[[Status], None], period_s: float = 1.0
+    ) -> None:
+        """Work until `stop` says so or recording has ended; then use what still waits.
+
+        Raises:
+            RunError: a device's thread has died.
+        """
+        now = self._began_ns = self._told_ns = self._clock()
+        cpu_s = time.process_time()
+        self.intake(Received(now, self._mount.message(now)))
+        for reader in self.readers:
+            reader.start()
+        try:
+            while not (stop() or self._ended()):
+                self._use(self.intake.get(_LOOK_S))
+                self._tell_if_due(tell, period_s)
+        finally:
+            for reader in self.readers:
+                reader.stop()
+        self.cpu_share = (time.process_time() - cpu_s) / ((self._clock() - now) * 1e-9)
+        while (received := self.intake.get(0.0)) is not None:
+            self._use(received)
+            self._tell_if_due(tell, period_s)
+        if self.slam is not None:
+            self.slam.finish_input()
+        self._news()
+        self._note(self._clock())
+
+    def _use(self, received: Taken | None) -> None:
+        if received is None or self.slam is None:
+            return
+        message = received.message
+        if isinstance(message, LaserScan):
+            self._unused.append(received.receipt_ns)
+        self.has_odometry = self.has_odometry or isinstance(message, WheelOdometry)
+        searching = self.slam.loops.searching
+        feed(self.slam, message, self.timed)
+        searching = searching or self.slam.loops.searching
+        self._watcher.show(self.slam, message)
+        now = self._clock()
+        self._age_s = (now - received.receipt_ns) * 1e-9
+        if isinstance(message, LaserScan):
+            self.latencies_ms.append(1e3 * self._age_s)
+            if searching:
+                self.searching_ms.append(1e3 * self._age_s)
+        while len(self._unused) > self.slam.waiting_scans:
+            self.delays_ms.append((now - self._unused.popleft()) * 1e-6)
+
+    def _ended(self) -> bool:
+        dead = [reader for reader in self.readers if not reader.running]
+        if dead:
+            raise RunError("the thread of a device has died; this is a defect of ours, see above")
+        now = self._clock()
+        if now - self._looked_ns >= _DISK_S * 1e9:
+            self._looked_ns = now
+            self._look_at_the_recording()
+        return bool(self.ended_by)
+
+    def _look_at_the_recording(self) -> None:
+        """Where the disk has no room left, the map goes on without a log."""
+        status = self._recorder.status()
+        if not status.stopped or self.intake.unlogged:
+            return
+        if self.slam is not None and status.files:
+            self.intake.unlogged = True
+            self._notices.append(f"{status.stopped}; the map goes on without a log")
+        else:
+            self.ended_by = status.stopped
+
+    def _tell_if_due(self, tell: Callable[[Status], None], period_s: float) -> None:
+        now = self._clock()
+        if now - self._told_ns < period_s * 1e9:
+            return
+        status = self._status(now)
+        tell(status)
+        self._watcher.tell(status)
+        self._told_ns, self._told_scans = now, self.intake.scans
+        if now - self._noted_ns >= _NOTE_S * 1e9:
+            self._note(now)
+
+    def _status(self, now: int) -> Status:
+        news = self._news()
+        slam = self.slam
+        decision = slam.records.decisions[-1] if slam and slam.records.decisions else None
+        return Status(
+            seconds=(now - self._began_ns) * 1e-9,
+            links=dict(self._links),
+            scan_hz=(self.intake.scans - self._told_scans) / ((now - self._told_ns) * 1e-9),
+            age_s=self._age_s,
+            waiting=self.intake.waiting,
+            keyframes=len(slam.keyframes) if slam else 0,
+            t_pe=decision.t_pe if decision else float("nan"),
+            sigmas=decision.achieved_sigmas if decision else (),
+            lost=self.losses(),
+            news=news,
+        )
+
+    def _news(self) -> tuple[str, ...]:
+        """What has happened to the devices, without repeating that one is still not there."""
+        news, self._notices = self._notices, []
+        for event in self.intake.events():
+            self._links[event.device] = event.kind
+            self._watcher.note(line_of(event))
+            said = event.detail.removeprefix(f"{event.kind}: ")
+            text = f"{event.device} {event.kind}: {said}"
+            if text != self._said.get(event.device):
+                self._said[event.device] = text
+                news.append(text)
+        return tuple(news)
+
+    def losses(self) -> dict[str, int]:
+        """What was lost so far, by cause; an outage counts as one."""
+        status = self._recorder.status()
+        found = device_losses("p3dx", self.robot.decoder.counters())
+        found |= device_losses("laser", self.laser.decoder.counters())
+        for reader in self.readers:
+            if reader.outages:
+                found[f"{reader.device}: outages"] = reader.outages
+        for topic, count in sorted((status.dropped | status.refused).items()):
+            found[f"not recorded: {topic}"] = count
+        if self.slam is not None:
+            found |= dict(self.slam.lost)
+        return found
+
+    def devices(self) -> dict[str, dict[str, int]]:
+        """All counters of both devices, for the summary."""
+        counters = (self.robot.decoder.counters(), self.laser.decoder.counters())
+        return {
+            reader.device: {"connections": reader.connections, "outages": reader.outages, **counted}
+            for reader, counted in zip(self.readers, counters, strict=True)
+        }
+
+    def _note(self, now: int) -> None:
+        """Write into the log itself who the devices are, how they stand, and what was lost."""
+        self._noted_ns = now
+        notes = {"lost": {cause: str(n) for cause, n in self.losses().items()}}
+        for session in (self.robot, self.laser):
+            device, decoder = session.device, session.decoder
+            state = health(now, device, self._links[device], decoder)
+            self._recorder.put(state)
+            self._watcher.note(state)
+            notes[device] = identity(decoder) | clock_model(decoder)
+        for name, values in notes.items():
+            if values != self._noted.get(name, {}):
+                self._noted[name] = values
+                self._recorder.add_metadata(name, values)

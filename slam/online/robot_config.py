@@ -1,0 +1,158 @@
+"""`robot.toml`: the ports of a robot, where its laser sits, how to record and how to map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from slam.drivers.hokuyo import HokuyoConfig
+from slam.drivers.pioneer import PioneerConfig
+from slam.drivers.pioneer_decoder import MODELS
+from slam.logs.messages import LaserMount
+from slam.logs.recording import RecorderConfig
+from slam.mapping.config import SlamConfig
+from slam.runs.config_file import load_model
+
+
+class RobotPort(BaseModel):
+    """The Pioneer; there is no setting that would let it move."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    port: str = Field(min_length=1, description="serial device, or tcp://host:port")
+    baud: int = Field(9600, description="speed at which the robot boots")
+    fast_baud: int = Field(38400, description="speed to change to where the robot can; 0: never")
+    model: Literal["auto", "p3dx-sh", "p3dx"] = Field(
+        "auto", description="whose conversion factors to use; auto: what the robot says it is"
+    )
+    silence_s: float = Field(1.0, gt=0, description="s without a report: the robot is gone")
+
+    @model_validator(mode="after")
+    def _possible(self) -> RobotPort:
+        self.driver()
+        return self
+
+    def driver(self) -> PioneerConfig:
+        """The driver's configuration, without consent to motion."""
+        return PioneerConfig(
+            port=self.port,
+            baud=self.baud,
+            fast_baud=self.fast_baud or None,
+            model=None if self.model == "auto" else MODELS[self.model],
+            silence_s=self.silence_s,
+        )
+
+
+class LaserPort(BaseModel):
+    """The Hokuyo and what is asked of it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    port: str = Field(min_length=1, description="serial device, or tcp://192.168.0.10:10940")
+    baud: int = Field(19200, gt=0, description="speed of RS232 models; USB and Ethernet have none")
+    from_deg: float = Field(-180.0, ge=-180, description="deg, first bearing; its own limit binds")
+    to_deg: float = Field(180.0, le=180, description="deg, last bearing; its own limit binds")
+    cluster: int = Field(1, ge=1, le=99, description="steps joined into one beam")
+    skip: int = Field(0, ge=0, le=9, description="scans left out between two")
+    reach_m: float = Field(math.inf, gt=0, description="m, farther readings count as no return")
+    silence_s: float = Field(1.0, gt=0, description="s without a scan: the laser is gone")
+
+    @model_validator(mode="after")
+    def _possible(self) -> LaserPort:
+        if self.from_deg >= self.to_deg:
+            raise ValueError("from_deg must be less than to_deg")
+        return self
+
+    def driver(self) -> HokuyoConfig:
+        """The driver's configuration."""
+        return HokuyoConfig(
+            port=self.port,
+            baud=self.baud,
+            angle_min=math.radians(self.from_deg),
+            angle_max=math.radians(self.to_deg),
+            cluster=self.cluster,
+            skip=self.skip,
+            reach_m=self.reach_m,
+            silence_s=self.silence_s,
+        )
+
+
+class MountConfig(BaseModel):
+    """Where the laser sits: `base_T_laser`, seen from the middle of the wheel axis."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    x: float = Field(allow_inf_nan=False, description="m ahead of the wheel axis")
+    y: float = Field(0.0, allow_inf_nan=False, description="m to the left")
+    theta_deg: float = Field(
+        0.0, allow_inf_nan=False, description="deg, heading of its middle beam, anticlockwise"
+    )
+
+    def message(self, stamp_ns: int) -> LaserMount:
+        """The mount as the log has it."""
+        return LaserMount(stamp_ns, self.x, self.y, math.radians(self.theta_deg))
+
+
+class RecordingConfig(BaseModel):
+    """The log of all bytes and messages."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    queue_messages: int = Field(
+        8192, ge=64, description="messages that may wait for the disk; more are lost, and counted"
+    )
+    reserve_mib: int = Field(
+        256, ge=0, description="MiB to leave free on the disk; with less recording ends"
+    )
+    rotate_mib: int = Field(0, ge=0, description="MiB after which a new file begins; 0: never")
+    rotate_minutes: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="minutes after which a new file begins"
+    )
+
+    @property
+    def rotates(self) -> bool:
+        """Whether there may be several files, which stay as they are recorded."""
+        return self.rotate_mib > 0 or self.rotate_minutes > 0
+
+    def recorder(self, recompress: bool) -> RecorderConfig:
+        """The recorder's configuration."""
+        return RecorderConfig(
+            queue_messages=self.queue_messages,
+            reserve_bytes=self.reserve_mib * 2**20,
+            rotate_bytes=self.rotate_mib * 2**20,
+            rotate_s=self.rotate_minutes * 60.0,
+            recompress=recompress,
+        )
+
+
+class RobotConfig(BaseModel):
+    """All of `robot.toml`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    robot: RobotPort
+    laser: LaserPort
+    mount: MountConfig
+    recording: RecordingConfig = RecordingConfig()
+    slam: SlamConfig = SlamConfig()
+
+
+def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
+    """Read `robot.toml`, then apply overrides.
+
+    An override names a setting as the file does (`laser.skip=3`), or one of the pipeline as
+    `slam replay` does (`keyframes.method=constant` for `slam.keyframes.method`).
+
+    Raises:
+        ConfigError: the file cannot be read, or a key or value is not acceptable.
+    """
+    return load_model(RobotConfig, path, [_full_name(override) for override in overrides])
+
+
+def _full_name(override: str) -> str:
+    section = override.partition("=")[0].partition(".")[0].strip()
+    return f"slam.{override.strip()}" if section in SlamConfig.model_fields else override

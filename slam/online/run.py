@@ -1,0 +1,110 @@
+"""What an online run leaves behind: its recording in any case, and the results if there are any."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from slam.logs.mcap_log import LogWriter, open_log
+from slam.logs.parts import Recording
+from slam.mapping.config import SlamConfig
+from slam.runs.errors import RunError
+from slam.runs.offline import Result
+from slam.runs.run_directory import write_results, write_summary
+from slam.runs.toml_text import toml_text
+
+RECORDING = "recording.mcap"  # becomes part of run.mcap; of several files, all stay
+UNFINISHED = ".recording"  # suffix of the folder; not `.partial`, which a replay may remove
+
+
+@contextmanager
+def online_run(out: Path) -> Iterator[Path]:
+    """A folder that takes the name `out` once it holds a closed file, whatever else fails.
+
+    Without one it stays as it is, for `slam recover`, or is removed if nothing is in it.
+
+    Raises:
+        RunError: `out` or its unfinished folder exists already, or cannot be made.
+    """
+    folder = out.with_name(out.name + UNFINISHED)
+    if out.exists():
+        raise RunError(f"{out}: exists already; choose another --out or remove it first")
+    if folder.exists():
+        raise RunError(
+            f"{folder}: holds an unfinished recording: save it with `slam recover "
+            f"{folder / RECORDING}.partial --out FILE`, then remove it, or choose another --out"
+        )
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise RunError(
+            f"{out}: cannot be written: {error.strerror or error}; choose another --out"
+        ) from error
+    try:
+        yield folder
+    finally:
+        _settle(folder, out)
+
+
+def _settle(folder: Path, out: Path) -> None:
+    if (folder / RECORDING).exists():
+        if (folder / "run.mcap").exists():
+            (folder / RECORDING).unlink()
+        else:
+            os.replace(folder / RECORDING, folder / "run.mcap")
+    if any(folder.glob("*.mcap")):
+        os.replace(folder, out)
+    else:
+        with suppress(OSError):  # an unfinished recording is in it
+            folder.rmdir()
+
+
+def log_name(files: Sequence[Path]) -> str:
+    """What to replay in a RUN whose recording has these files."""
+    return files[0].name if files and files[0].name != RECORDING else "run.mcap"
+
+
+def add_results(
+    recording: Recording, result: Result, identity: Mapping[str, str], config: SlamConfig
+) -> None:
+    """Write the results beside the recording, and both into one log if it is a single file.
+
+    Raises:
+        LogError: the disk fails; the recording stays as it was.
+    """
+
+    def copy(log: LogWriter) -> None:
+        with open_log(folder / RECORDING) as recorded:
+            for name, values in recorded.metadata().items():
+                if name != "run":
+                    log.add_metadata(name, values)
+            for receipt_ns, message in recorded.receipts():
+                log.write(message, receipt_ns)
+            for attachment in recorded.attachments():
+                if attachment.name != "config.json":
+                    log.add_attachment(attachment.name, attachment.data, attachment.media_type)
+            result.lost.update(recorded.skipped)
+
+    folder = recording.path.parent
+    single = recording.path.name == RECORDING
+    if not single:
+        result.lost.update(recording.skipped)
+    made = folder / "results"
+    made.mkdir()
+    try:
+        settings = config.model_dump_json(indent=2).encode()
+        write_results(made, result, identity, settings, copy if single else None)
+        for path in made.iterdir():
+            os.replace(path, folder / path.name)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def finish_folder(folder: Path, summary: Mapping[str, Any], config: SlamConfig) -> None:
+    """Write the summary, and the settings as `slam replay --config` takes them."""
+    (folder / "slam.toml").write_text(toml_text(config.model_dump()), encoding="utf-8")
+    write_summary(folder, summary)

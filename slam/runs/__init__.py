@@ -1,0 +1,1 @@
+"""Whole runs over a log, and the RUN directory that keeps their results."""

@@ -1,0 +1,103 @@
+"""Compiles half of the kernels in a second process, whose program this module is.
+
+Both leave what they compile in the cache on disk, where each finds what the other has made.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+from gtsam import Pose2
+
+from slam.frontend.align_kernels import align
+from slam.frontend.correlative import CorrelativeConfig, Window, build_field, search
+from slam.frontend.covariance_kernels import own_information
+from slam.frontend.icp_kernels import SYSTEM
+from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
+from slam.frontend.scatter_kernels import scatter
+from slam.logs.messages import LaserMount
+from slam.maps.occupancy import build_map
+from slam.runs.compiling.simulated_room import measure_room
+
+_PATIENCE_S = 120.0
+
+
+def compiled() -> bool:
+    """Whether the cache holds a matcher compiled since its source was last changed."""
+    source = Path(align.py_func.__code__.co_filename)
+    kept = Path(align.stats.cache_path).glob(f"{source.stem}.align-*.nbi")
+    return any(index.stat().st_mtime > source.stat().st_mtime for index in kept)
+
+
+@contextmanager
+def compiling_beside() -> Iterator[None]:
+    """Have a second process compile its share meanwhile, and wait for it at the end.
+
+    Whatever becomes of it: what it leaves undone is compiled at its first use.
+    """
+    quiet = subprocess.DEVNULL
+    child = subprocess.Popen(
+        [sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet
+    )
+    try:
+        yield
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(_PATIENCE_S)
+    finally:
+        child.kill()
+        child.wait()
+
+
+def compile_matcher() -> None:
+    """Compile all that a match needs; it is refused."""
+    scan = blank_scan()
+    match([Reference(Pose2(), scan)], scan, Pose2(), MatchConfig())
+
+
+def compile_share() -> None:
+    """Call each kernel of this share as the pipeline and the matcher do.
+
+    First those that the matcher needs last; the rest is for later.
+    """
+    scan = blank_scan()
+    starts, geometries, _ = scan.alone
+    places, partners = np.zeros((1, 3)), np.full((1, len(scan.points)), -1, np.int32)
+    gradient = np.zeros(6)
+    scatter(
+        scan.points, scan.geometry, scan.points, scan.lines, scan.windows, scan.flags, starts,
+        geometries, 0.01, places, places[0], partners, 0.04, gradient,
+    )  # fmt: skip
+    own_information(np.zeros(SYSTEM), gradient, 1e-4, 0.0, 0.0, np.empty((3, 3)))
+    room = measure_room(0, 0.0)
+    seen = prepare(room, LaserMount(0, 0.0, 0.0, 0.0), ScanConfig())
+    points = seen.points.copy()  # which may be written to, as those of a submap
+    search(build_field(points, CorrelativeConfig()), points, Window(Pose2(), 0.5, 0.1), 0.1)
+    build_map([room], np.zeros((1, 3)))
+
+
+def blank_scan(beams: int = 20) -> PreparedScan:
+    """A scan that saw nothing, though it claims to, with arrays of the kinds that `prepare` makes.
+
+    With it the matcher compiles before the kernels that prepare a scan have.
+    """
+    points, lines = np.full((beams, 2), np.nan), np.zeros((beams, 5))
+    windows, flags = np.zeros((beams, 2), np.int32), np.zeros(beams, np.uint8)
+    geometries, centre = np.array([[0.0, 0.01, 0.0, 0.0, 628.0]]), np.zeros(2)
+    for array in (points, lines, windows, flags, geometries, centre):
+        array.setflags(write=False)
+    reach2 = reach_table(0.01)
+    alone = np.array([0, beams]), geometries, reach2
+    return PreparedScan(
+        0, points, lines, windows, flags, geometries[0], beams, centre, reach2[0], alone
+    )
+
+
+if __name__ == "__main__":
+    compile_share()

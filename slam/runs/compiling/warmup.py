@@ -1,0 +1,48 @@
+"""Compiles the pipeline's kernels before a robot waits for them."""
+
+from __future__ import annotations
+
+from slam.logs.messages import LaserMount, Message, WheelOdometry
+from slam.mapping.config import SlamConfig
+from slam.runs.compiling.second_process import compile_matcher, compiled, compiling_beside
+from slam.runs.compiling.simulated_room import measure_room
+from slam.runs.offline import run_offline
+from slam.runs.process_pool import usable_cores
+
+_STEP_S, _STEP_M = 0.1, 0.1
+_SCANS = 40
+
+
+def warm_up(config: SlamConfig) -> None:
+    """Map an imaginary room; takes some 20 s the first time, and half a second ever after.
+
+    The room is driven to and fro once; a leap of the odometry calls for the search.
+    """
+    if usable_cores() > 1 and not compiled():
+        with compiling_beside():
+            compile_matcher()
+    run_offline(lambda: _drive(), _in_the_room(config))
+
+
+def _in_the_room(config: SlamConfig) -> SlamConfig:
+    """The methods of the settings alone: with the limits, the room might be of no use."""
+    shipped = SlamConfig()
+    loops = shipped.loops.model_copy(update={"min_path_m": 1.0, "every_m": 0.3})
+    methods = {
+        name: getattr(shipped, name).model_copy(update={"method": getattr(config, name).method})
+        for name in ("matcher", "keyframes")
+    }
+    # No other kernel finds every scan its place, but a search tree, whose import takes its time.
+    localise = shipped.localise.model_copy(update={"every_scan": False})
+    return shipped.model_copy(update={"loops": loops, "localise": localise, **methods})
+
+
+def _drive() -> list[Message]:
+    messages: list[Message] = [LaserMount(0, 0.0, 0.0, 0.0)]
+    for k in range(_SCANS):
+        x = _STEP_M * min(k, _SCANS - k) - 1.0
+        stamp = round(k * _STEP_S * 1e9)
+        leap = 0.8 if k > _SCANS // 4 else 0.0
+        messages.append(WheelOdometry(stamp, x + leap, 0.0, 0.0))
+        messages.append(measure_room(stamp, x))
+    return messages

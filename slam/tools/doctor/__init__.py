@@ -1,0 +1,1 @@
+"""What `slam doctor` finds out with the scan matcher."""

@@ -1,0 +1,244 @@
+"""Do wheels and scans tell the same story?  Slip, scales, signs, and where the laser sits.
+
+A bounded number of pairs of scans is matched without asking the wheels; pairs in which the
+scans do not see the motion (corridors) have no say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gtsam import Pose2
+
+from slam.backend.chi_square import chi_square_limit
+from slam.frontend.match_types import MatchConfig, MatchResult, Reference
+from slam.frontend.matching import match
+from slam.frontend.scan import PreparedScan, ScanConfig, prepare
+from slam.logs.findings import Finding, Severity
+from slam.logs.messages import LaserMount, LaserScan, Message
+from slam.mapping.odometry import OdometryConfig
+from slam.tools.doctor.motion_fit import MotionFit, fit_motion
+from slam.tools.doctor.motion_pairs import BLOCK, Pair, PairCollector
+
+LEAST_PAIRS = 12  # that can be judged, for anything to be said of the whole log
+SURE = 5.0  # sigmas
+SCALE, SCALE_ERROR = 0.10, 0.30  # the pipeline trusts the wheels to 5 % a metre
+TURN, TURN_ERROR = 0.20, 0.50  # and to 10 % a turn
+YAW, YAW_ERROR = math.radians(2.0), math.radians(20.0)  # 2 degrees bend 10 m by 35 cm
+PLACE_M = 0.10
+FALSE_ALARM = 1e-6  # how often an honest pair may be called a slip
+MANY = 0.3  # of the pairs: then it is not an accident
+
+_GOOD_QUALITY, _GOOD_EXPLAINED = 0.6, 0.7
+_SEES_M = 0.02  # sigma along the axis that the scans see worst
+_RIVAL = 0.85  # of the best quality: as good an answer, if it is another one
+_SAME_M, _SAME_RAD = 0.05, 0.03  # within these it is the same answer
+_MATCHER = MatchConfig()
+_MATCH_VARIANCE = np.diag([0.01, 0.01, 0.005]) ** 2  # m, m, rad: also of stamps and moving things
+_NO_MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Judged:
+    pair: Pair
+    laser: Pose2  # first_T_second of the laser, by matching
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Dispute:
+    """Pairs, one or some in a row, over which wheels and scans disagree."""
+
+    pairs: Sequence[Pair]
+    wheels: Pose2  # by the wheels, what is systematic taken out
+    scans: Pose2
+    excess: float  # chi-square over what honest wheels may have
+
+
+class MotionCheck:
+    """Scans and odometry in file order; `findings` matches and compares."""
+
+    def __init__(self) -> None:
+        self._collector = PairCollector()
+
+    def feed(self, message: Message) -> None:
+        """Take in one message."""
+        self._collector.feed(message)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is odd."""
+        mount = self._collector.mount or _NO_MOUNT
+        place = complex(mount.x, mount.y)
+        matcher = _Matcher(Pose2(mount.x, mount.y, mount.theta))
+        judged = [j for p in self._collector.moving.pairs() if (j := matcher.judge(p))]
+        if len(judged) < LEAST_PAIRS:
+            return
+        fit = fit_motion(*_steps(judged), place)
+        yield from _systematic(fit, mount)
+        still = [j for p in self._collector.still.pairs() if (j := matcher.judge(p))]
+        yield from _disputed(_disputes(judged, fit) + _disputes(still, fit), judged + still)
+
+
+class _Matcher:
+    """Matches pairs; neighbours share a scan, which is prepared once."""
+
+    def __init__(self, base_T_laser: Pose2) -> None:
+        self._base_T_laser = base_T_laser
+        self._last: tuple[LaserScan, PreparedScan] | None = None
+
+    def judge(self, pair: Pair) -> _Judged | None:
+        """The laser's step, None if the scans cannot tell."""
+        first, second = self._prepared(pair.first), self._prepared(pair.second)
+        by_wheels = self._base_T_laser.inverse() * pair.step * self._base_T_laser
+        # What the wheels say, nothing, and the opposite: each has a start that would be right.
+        starts = (by_wheels, Pose2(), by_wheels.inverse())
+        results = [match([Reference(Pose2(), first)], second, start, _MATCHER) for start in starts]
+        best = max(results, key=lambda result: result.quality * result.converged)
+        if not _sure(best) or any(_rivals(best, result) for result in results):
+            return None
+        return _Judged(pair, best.target_T_source)
+
+    def _prepared(self, scan: LaserScan) -> PreparedScan:
+        if self._last is None or self._last[0] is not scan:
+            self._last = scan, prepare(scan, _NO_MOUNT, ScanConfig())
+        return self._last[1]
+
+
+def _rivals(best: MatchResult, other: MatchResult) -> bool:
+    """Whether another start ends elsewhere and explains the scan about as well."""
+    if not other.converged or other.quality < _RIVAL * best.quality:
+        return False
+    apart = best.target_T_source.between(other.target_T_source)
+    return max(abs(apart.x()), abs(apart.y())) > _SAME_M or abs(apart.theta()) > _SAME_RAD
+
+
+def _sure(result: MatchResult) -> bool:
+    if not result.converged or result.quality < _GOOD_QUALITY:
+        return False
+    if result.explained < _GOOD_EXPLAINED:
+        return False
+    return float(np.linalg.eigvalsh(result.covariance[:2, :2])[-1]) < _SEES_M**2
+
+
+def _steps(judged: Sequence[_Judged]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    steps = [(j.pair.step, j.laser) for j in judged]
+    wheels, laser = (
+        np.array([complex(pose[k].x(), pose[k].y()) for pose in steps]) for k in (0, 1)
+    )
+    turns = np.array([[a.theta(), b.theta()] for a, b in steps])
+    return wheels, turns[:, 0], laser, turns[:, 1]
+
+
+def _systematic(fit: MotionFit, mount: LaserMount) -> Iterator[Finding]:
+    """What is wrong all the time."""
+    turn, turn_off = fit.turn_scale, abs(fit.turn_scale - 1.0)
+    if turn < 0.0 and -turn > SURE * fit.turn_sigma:
+        yield Finding(
+            "error", "odometry-turn-sign", "/odom",
+            "the wheels turn one way and the scans the other: the laser hangs upside down, or the "
+            "odometry's heading has the wrong sign",
+        )  # fmt: skip
+        return
+    if turn_off > TURN and turn_off > SURE * fit.turn_sigma:
+        yield Finding(
+            _severity(turn_off, TURN_ERROR), "odometry-turn-scale", "/odom",
+            f"the scans turn {turn:.2f} times as far as the wheels say: calibrate the wheel base",
+        )  # fmt: skip
+    scale, scale_off = fit.distance_scale, abs(fit.distance_scale - 1.0)
+    if scale_off > SCALE and scale_off > SURE * fit.distance_sigma:
+        yield Finding(
+            _severity(scale_off, SCALE_ERROR), "odometry-scale", "/odom",
+            f"the scans move {scale:.2f} times as far as the wheels say: wrong units or conversion "
+            "factors, or another wheel size",
+        )  # fmt: skip
+    off = math.remainder(fit.yaw - mount.theta, math.tau)
+    if abs(off) > YAW and abs(off) > SURE * fit.yaw_sigma:
+        back = ", or the odometry has the wrong sign" if abs(off) > 0.9 * math.pi else ""
+        yield Finding(
+            _severity(abs(off), YAW_ERROR), "mount-yaw", "/tf",
+            f"the laser looks {math.degrees(fit.yaw):.1f} +- {math.degrees(fit.yaw_sigma):.1f} deg "
+            f"off the robot's front, not {math.degrees(mount.theta):.1f} deg as the log says{back}",
+        )  # fmt: skip
+    elsewhere = abs(fit.place - complex(mount.x, mount.y))
+    if elsewhere > PLACE_M and elsewhere > SURE * fit.place_sigma:
+        yield Finding(
+            "warning", "mount-place", "/tf",
+            f"turns say that the laser sits at ({fit.place.real:.2f}, {fit.place.imag:.2f}) +- "
+            f"{fit.place_sigma:.2f} m, not at ({mount.x:.2f}, {mount.y:.2f}) m as the log says",
+        )  # fmt: skip
+
+
+def _severity(off: float, error: float) -> Severity:
+    return "error" if off > error else "warning"
+
+
+def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
+    """Single pairs and blocks of neighbours that honest wheels could not have."""
+    found = []
+    mount = Pose2(fit.place.real, fit.place.imag, fit.yaw)
+    turn_scale = fit.turn_scale if math.isfinite(fit.turn_scale) else 1.0
+    for group in [*([j] for j in judged), *_rows_of(judged)]:
+        wheels, scans = Pose2(), Pose2()
+        distance_m = turn_rad = 0.0  # by the scans: lying wheels must not excuse themselves
+        for one in group:
+            step, scale = one.pair.step, fit.distance_scale
+            wheels *= Pose2(scale * step.x(), scale * step.y(), turn_scale * step.theta())
+            seen = mount * one.laser * mount.inverse()
+            scans *= seen
+            distance_m += math.hypot(seen.x(), seen.y())
+            turn_rad += abs(seen.theta())
+        pairs = [one.pair for one in group]
+        honest = OdometryConfig().covariance(distance_m, turn_rad, sum(p.seconds for p in pairs))
+        error = Pose2.Logmap(wheels.between(scans))
+        distance = float(error @ np.linalg.solve(honest + len(group) * _MATCH_VARIANCE, error))
+        excess = distance / chi_square_limit(FALSE_ALARM, 3)
+        if excess > 1.0:
+            found.append(_Dispute(pairs, wheels, scans, excess))
+    return found
+
+
+def _rows_of(judged: Sequence[_Judged]) -> Iterator[Sequence[_Judged]]:
+    """Blocks of neighbours without a gap."""
+    for k in range(len(judged) - BLOCK + 1):
+        group = judged[k : k + BLOCK]
+        if group[-1].pair.serial - group[0].pair.serial == BLOCK - 1:
+            yield group
+
+
+def _disputed(disputes: Sequence[_Dispute], judged: Sequence[_Judged]) -> Iterator[Finding]:
+    if not disputes:
+        return
+    lone = len(disputes) == 1  # which may as well be the fault of a single match
+    single = [dispute for dispute in disputes if len(dispute.pairs) == 1]
+    disputes = single or disputes  # a block tells less exactly when it was
+    worst = max(disputes, key=lambda dispute: dispute.excess)
+    count = len({id(pair) for dispute in disputes for pair in dispute.pairs})
+    first = min(dispute.pairs[0].first.stamp_ns for dispute in disputes)
+    told = (
+        f"over {count} of {len(judged)} steps looked at, most where the wheels say "
+        f"{_words(worst.wheels)} and the scans {_words(worst.scans)}"
+    )
+    if not lone and 2 * sum(map(_opposite, single)) > len(single):
+        yield Finding(
+            "error", "odometry-sign", "/odom",
+            f"the wheels count the other way than the robot goes, {told}", count, first,
+        )  # fmt: skip
+        return
+    severity: Severity = "error" if count > MANY * len(judged) else "warning"
+    yield Finding(
+        "note" if lone else severity, "wheel-slip", "/odom",
+        f"wheels and scans disagree (slip, a push, or an encoder that fails) {told}",
+        count, first,
+    )  # fmt: skip
+
+
+def _opposite(dispute: _Dispute) -> bool:
+    wheels, scans = (complex(p.x(), p.y()) for p in (dispute.wheels, dispute.scans))
+    along = (wheels * scans.conjugate()).real
+    return min(abs(wheels), abs(scans)) > 0.1 and along < -0.5 * abs(wheels) * abs(scans)
+
+
+def _words(step: Pose2) -> str:
+    return f"{math.hypot(step.x(), step.y()):.2f} m and {math.degrees(step.theta()):.0f} deg"

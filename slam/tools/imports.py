@@ -1,0 +1,48 @@
+"""`slam import`: a foreign log becomes an MCAP log."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.logs.errors import LogError
+from slam.logs.importers.detect import read_any
+from slam.logs.mcap_log import LogWriter
+from slam.logs.messages import LaserScan
+
+
+@dataclass(frozen=True, slots=True)
+class ImportReport:
+    """What came over, what had to be repaired, and what could not be used."""
+
+    kind: str
+    messages: int
+    scans: int
+    changed: Counter[str]
+    skipped: Counter[str]
+    ignored: Counter[str]  # sound, but of no use here
+
+
+def import_log(file: Path, out: Path) -> ImportReport:
+    """Read a foreign log of any supported kind and write it as MCAP.
+
+    Raises:
+        LogError: it cannot be read, or the log cannot be written or would replace it.
+    """
+    if out.exists() and os.path.samefile(file, out):
+        raise LogError(f"{out}: is the log to be imported itself: name another file to write")
+    imported = read_any(file)
+    identity = {"source": file.name, "imported_from": imported.kind}
+    with LogWriter(out, identity, keep_partial=False) as log:
+        messages = scans = 0
+        for message, receipt_ns in imported.received():
+            log.write(message, receipt_ns)
+            messages += 1
+            scans += isinstance(message, LaserScan)
+        counts = {**imported.skipped, **imported.changed, **imported.ignored}
+        log.add_metadata("import", {cause: str(count) for cause, count in counts.items()})
+    return ImportReport(
+        imported.kind, messages, scans, imported.changed, imported.skipped, imported.ignored
+    )

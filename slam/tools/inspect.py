@@ -1,0 +1,124 @@
+"""`slam info` and `slam doctor`: what a log holds and what is odd about it, in words.
+
+All text out of a file goes through `shown`, and lists end somewhere: a log is often somebody
+else's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+
+from slam.logs.doctor import Diagnosis, diagnose
+from slam.logs.errors import shown
+from slam.logs.findings import Severity, seconds
+from slam.logs.info import ChannelInfo, LogInfo, read_info
+from slam.runs.errors import RunError
+
+_MOST = 50  # lines of a list that are shown
+_GAPS = 3  # of a channel, the longest
+DOCTOR_CODES: Mapping[Severity | None, int] = {None: 0, "note": 0, "warning": 3, "error": 1}
+
+
+def describe_log(path: Path) -> str:
+    """Channels with rates and gaps, losses, identity and attachments, as text.
+
+    Raises:
+        LogError: the log cannot be read.
+    """
+    return "\n".join(_lines(read_info(path)))
+
+
+def _lines(info: LogInfo) -> Iterator[str]:
+    yield f"{info.path}: {info.messages} messages in {info.duration_s:.1f} s, {info.bytes} bytes"
+    if info.messages:
+        yield f"  received from {_utc(info.first_received_ns)} on"
+    yield from _some(line for channel in info.channels for line in _channel(channel))
+    for name, values in [("run", info.run), *sorted(info.metadata.items())]:
+        if values:
+            yield f"  {shown(name)}:"
+            yield from _some(f"    {shown(k)}: {shown(v)}" for k, v in sorted(values.items()))
+    if info.lines:
+        yield "  said last:"
+    for said in info.lines:
+        yield f"    {_utc(said.stamp_ns)} {said.level}: {shown(said.name)} {shown(said.text)}"
+    yield from _some(
+        f"  attachment: {shown(a.name)}, {a.bytes} bytes of {shown(a.media_type)}"
+        for a in info.attachments
+    )
+    for word, losses in (("recording", info.lost_recording), ("reading", info.lost_reading)):
+        yield from _some(
+            f"  lost while {word}: {count} {shown(cause)}" for cause, count in losses.items()
+        )
+    if not info.lost:
+        yield "  lost: nothing"
+
+
+def _channel(channel: ChannelInfo) -> Iterator[str]:
+    timing = channel.timing
+    rate = "" if math.isnan(timing.rate_hz) else f"{timing.rate_hz:8.2f} Hz"
+    schema = shown(channel.schema) or "bytes"
+    foreign = "" if channel.known else ", not read by replay"
+    yield f"  {shown(channel.topic):<16} {timing.messages:>9} {rate:>11}  {schema}{foreign}"
+    longest = sorted(timing.gaps, key=lambda gap: -gap.seconds)[:_GAPS]
+    for gap in sorted(longest, key=lambda gap: gap.start_ns):
+        yield f"    gap of {seconds(gap.seconds)} from {_utc(gap.start_ns)} on"
+    if len(timing.gaps) > _GAPS:
+        more = " at least" if timing.more_gaps else ""
+        yield f"    and{more} {len(timing.gaps) - _GAPS} shorter gaps"
+    if timing.backwards:
+        back = seconds(timing.farthest_back_s)
+        yield f"    {timing.backwards} stamps run backwards, by {back} at most"
+    if timing.duplicates:
+        yield f"    {timing.duplicates} stamps repeat the one before"
+
+
+def _utc(stamp_ns: int) -> str:
+    """The time to the millisecond; every stamp that a log can hold has one."""
+    when = datetime.fromtimestamp(stamp_ns // 10**9, UTC)
+    return f"{when:%Y-%m-%d %H:%M:%S}.{stamp_ns % 10**9 // 10**6:03d} UTC"
+
+
+def _some(lines: Iterable[str]) -> Iterator[str]:
+    """The first lines, and how many there are more."""
+    left = 0
+    for number, line in enumerate(lines):
+        if number < _MOST:
+            yield line
+        else:
+            left += 1
+    if left:
+        yield f"  ... and {left} more"
+
+
+def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
+    """What is odd about a log, as text, and the exit code: 0, 3 on warnings, 1 on errors.
+
+    Raises:
+        LogError: the log cannot be read.
+        RunError: the JSON file cannot be written.
+    """
+    from slam.tools.doctor.motion_check import (
+        MotionCheck,  # the matcher, which `slam info` does without
+    )
+
+    found = diagnose(path, [MotionCheck()])
+    if json_file is not None:
+        text = json.dumps(found.as_json(), indent=2, allow_nan=False)
+        try:
+            json_file.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise RunError(f"{json_file}: cannot be written: {error.strerror}") from error
+    return "\n".join(_findings(found)), DOCTOR_CODES[found.worst]
+
+
+def _findings(found: Diagnosis) -> Iterator[str]:
+    for topic, drift in sorted(found.drift_ppm.items()):
+        if math.isfinite(drift) and drift != 0.0:  # zero: the log knows stamps alone
+            yield f"{topic}: the receiving clock gains {drift:.1f} ppm on the device's"
+    yield from _some(f"{finding.severity}: {finding.text}" for finding in found.findings)
+    if not found.findings:
+        yield f"{found.path}: nothing odd was found"
