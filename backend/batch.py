@@ -186,15 +186,18 @@ def optimise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> BatchR
         weights = dict.fromkeys(loops, 1.0)
         if config.reject_loops and (chi_squares(settled, edges, maker)[loops] > SUSPICIOUS).any():
             # Plain least squares takes part: from a bad start only it pulls hard enough.
-            rivals = [settled, _descend(poses, edges, maker, None, iterations=10, robust=False)]
-            rivals += [_descend(poses, edges, maker, _ESTIMATORS.DCS.Create(1.0))]
-            rivals += [_narrowing(poses, edges, maker)]
-            settled = min(rivals, key=lambda found: truncated_cost(found, edges, maker))
+            alternatives = [
+                settled,
+                _descend(poses, edges, maker, None, iterations=10, robust=False),
+            ]
+            alternatives += [_descend(poses, edges, maker, _ESTIMATORS.DCS.Create(1.0))]
+            alternatives += [_narrowing(poses, edges, maker)]
+            settled = min(alternatives, key=lambda found: truncated_cost(found, edges, maker))
             settled = _descend(settled, _believed(settled, edges, maker), maker, None)
             chi = chi_squares(settled, edges, maker)
             weights = {k: float(chi[k] <= SUSPICIOUS) for k in loops}
-        believed = [e for k, e in enumerate(edges) if weights.get(k, 1.0) >= OUTLIER]
-        graph = maker.graph(Pose2(*poses[0]), believed, robust=True)
+        accepted_edges = [e for k, e in enumerate(edges) if weights.get(k, 1.0) >= OUTLIER]
+        graph = maker.graph(Pose2(*poses[0]), accepted_edges, robust=True)
         before = float(graph.error(values_of(poses)))
         values = gtsam.LevenbergMarquardtOptimizer(
             graph, values_of(settled), _lm(50, FINE)

@@ -17,7 +17,7 @@ from slam.backend.batch import (
     values_of,
 )
 from slam.backend.edges import Edge, GraphError, Matrix, relative_covariance
-from slam.backend.pruning import Thinned, thinned
+from slam.backend.pruning import Pruned, prune
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 
@@ -122,9 +122,9 @@ class PoseGraph:
         """Add edges that only the next batch optimisation shall see; ISAM2 stays as it is."""
         self.edges += edges
 
-    def without(self, gone: Sequence[int]) -> tuple[PoseGraph, Thinned]:
+    def without(self, gone: Sequence[int]) -> tuple[PoseGraph, Pruned]:
         """A new graph that lacks the keyframes `gone`, and what became of their edges."""
-        left = thinned(self.edges, self.poses, gone, self.weight)
+        left = prune(self.edges, self.poses, gone, self.weight)
         maker = self._maker.renamed(zip(left.untouched, left.edges, strict=False))
         poses = self.poses[left.index.stays]
         return PoseGraph.restored(poses, left.edges, self.config, maker), left

@@ -50,7 +50,7 @@ class Renumbered:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Thinned:
+class Pruned:
     """What a graph is without some of its poses."""
 
     untouched: list[Edge]  # those that did not touch them
@@ -71,7 +71,9 @@ class _Tie:
     i_T_j: Pose2
     information: Matrix  # (3, 3), in frame j
     agrees: bool  # with where the graph has both
-    firm: bool  # without the odometry's word, which may be a lie, it would not be much weaker
+    well_constrained: (
+        bool  # without the odometry's word, which may be a lie, it would not be much weaker
+    )
 
     @property
     def knowledge(self) -> float:
@@ -83,7 +85,7 @@ class _Tie:
         return Edge(kind, i, j, self.i_T_j, 0.5 * (self.information + self.information.T))
 
 
-def thinned(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Weight) -> Thinned:
+def prune(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Weight) -> Pruned:
     """The graph without the poses `gone`.
 
     From the earlier neighbour that knows best where such a pose is, new edges lead to its later
@@ -108,7 +110,7 @@ def thinned(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: W
         first, tie = _best({i: _combined(told, poses, weight) for i, told in before.items()})
         for j, told in after.items():
             through = _joined(tie, _combined(told, poses, weight))
-            kind: Kind = "icp" if through.firm else "odometry"
+            kind: Kind = "icp" if through.well_constrained else "odometry"
             if all(edge.kind == "loop" for edge in told):
                 kind = "loop"
             new = through.edge(kind, first, j)
@@ -119,7 +121,7 @@ def thinned(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: W
     index = Renumbered(len(poses), gone)
     untouched = [edge for edge in edges if index.keeps(edge.i, edge.j)]
     left = [index.renamed(edge) for edge in (*untouched, *made)]
-    return Thinned(untouched, left, anchors, index)
+    return Pruned(untouched, left, anchors, index)
 
 
 def _by_end(edges: Sequence[Edge], end: str) -> dict[int, list[Edge]]:
@@ -145,9 +147,9 @@ def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Tie:
             matched = matched + information
         pull = pull + information @ Pose2.Logmap(known.between(edge.i_T_j))
     error = np.linalg.solve(total, pull)
-    firm = np.linalg.eigvalsh(matched)[0] > 0.5 * np.linalg.eigvalsh(total)[0]
+    well_constrained = np.linalg.eigvalsh(matched)[0] > 0.5 * np.linalg.eigvalsh(total)[0]
     agrees = float(error @ total @ error) <= SUSPICIOUS
-    return _Tie(known * Pose2.Expmap(error), total, agrees, bool(firm))
+    return _Tie(known * Pose2.Expmap(error), total, agrees, bool(well_constrained))
 
 
 def _joined(a: _Tie, b: _Tie) -> _Tie:
@@ -155,5 +157,8 @@ def _joined(a: _Tie, b: _Tie) -> _Tie:
     back = b.i_T_j.inverse().AdjointMap()
     covariance = back @ np.linalg.inv(a.information) @ back.T + np.linalg.inv(b.information)
     return _Tie(
-        a.i_T_j * b.i_T_j, np.linalg.inv(covariance), a.agrees and b.agrees, a.firm and b.firm
+        a.i_T_j * b.i_T_j,
+        np.linalg.inv(covariance),
+        a.agrees and b.agrees,
+        a.well_constrained and b.well_constrained,
     )

@@ -21,7 +21,7 @@ from slam.drivers.connection import Received
 from slam.drivers.hokuyo_decoder import HokuyoDecoder
 from slam.drivers.pioneer_decoder import PioneerDecoder
 from slam.drivers.simulators.drive import EPOCH_NS
-from slam.logs.messages import LaserMount, RawBytes
+from slam.logs.messages import LaserExtrinsics, RawBytes
 from slam.logs.recorder import Recorder
 from slam.logs.recording import RecorderConfig
 
@@ -43,7 +43,7 @@ def bench_memory(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     seconds = 360.0 if quick else 3600.0
     rows = []
     for name, drives in (("standing", False), ("driving", True)):
-        names = ("s", "rss_mb", "keyframes", "thinned_out")
+        names = ("s", "rss_mb", "keyframes", "pruned")
         samples = [dict(zip(names, s, strict=True)) for s in _run(seconds, drives, say)]
         rows.append(_row(name, samples) | {"samples": samples})
     return {"meta": {"beams": 1081, "scan_hz": 40}, "rows": rows}
@@ -56,7 +56,7 @@ def _row(name: str, samples: list[dict[str, float]]) -> dict[str, Any]:
     growth = float(np.polyfit(t, rss, 1)[0]) * 3600.0
     return {
         "run": name, "minutes": round(samples[-1]["s"] / 60.0, 1),
-        "keyframes": int(samples[-1]["keyframes"]), "thinned_out": int(samples[-1]["thinned_out"]),
+        "keyframes": int(samples[-1]["keyframes"]), "pruned": int(samples[-1]["pruned"]),
         "rss_mb_first": round(float(rss[0]), 1), "rss_mb_last": round(float(rss[-1]), 1),
         "growth_mb_per_hour": round(growth, 1),
     }  # fmt: skip
@@ -75,8 +75,8 @@ def _run(
         settings = RecorderConfig(recompress=False)
         recorder = Recorder(Path(folder) / "log.mcap", {}, settings)
         with recorder, ThreadPoolExecutor(1) as loops:
-            slam, intake = Slam(SlamConfig(), beside=loops.submit), Intake(recorder)
-            intake(Received(EPOCH_NS, LaserMount(EPOCH_NS, plan.ahead_m, 0.0, 0.0)))
+            slam, intake = Slam(SlamConfig(), submit=loops.submit), Intake(recorder)
+            intake(Received(EPOCH_NS, LaserExtrinsics(EPOCH_NS, plan.ahead_m, 0.0, 0.0)))
             due_s = _SAMPLE_S
             for now_s, received in _wire(robot, seconds):
                 while recorder.status().queued > _QUEUE:
@@ -86,7 +86,7 @@ def _run(
                     feed(slam, taken.message)
                 if now_s >= due_s:
                     due_s += _SAMPLE_S
-                    gone = slam.records.thinned_out["keyframes"]
+                    gone = slam.records.pruned_counts["keyframes"]
                     sample = now_s, _rss_mb(), len(slam.keyframes), gone
                     say(f"{now_s / 60:.0f} min: {sample[1]:.0f} MB, {sample[2]} keyframes")
                     yield sample

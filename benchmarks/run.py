@@ -72,7 +72,7 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     "memory": {
         "run": "run", "minutes": "minutes", "keyframes": "keyframes",
         "rss_mb_first": "MB first", "rss_mb_last": "MB last",
-        "growth_mb_per_hour": "MB an hour", "thinned_out": "thinned out",
+        "growth_mb_per_hour": "MB an hour", "pruned": "pruned",
     },
     "view": {
         "log": "log", "watched_by": "watched by", "cpu_s": "pipeline's CPU s", "wall_s": "s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, merged, part
-from slam.frontend.covariance_kernels import combine, invert3, own_information, weakest_axis
+from slam.frontend.covariance_kernels import combine, invert3, own_information, weakest_direction
 from slam.frontend.evidence_kernels import (
     DOUBTED_PAIRS,
     TRUSTED_SHARE,
@@ -58,14 +58,14 @@ def align(
     floor_rot,
     iterations,
     min_pairs,
-    good_quality,
+    good_inlier_fraction,
 ):
     """Align from target_T_source = (x, y, theta), and judge the outcome.
 
     `passes` (k, 4) holds gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each
-    pass, `others` (m, 3) the starts about the guess that are tried when less than `good_quality`
-    of the beams fit; with a prior there are none.  Without a prior, `prior_covariance` only
-    completes the covariance of blind axes.
+    pass, `others` (m, 3) the starts about the guess that are tried when less than
+    `good_inlier_fraction` of the beams fit; with a prior there are none.  Without
+    a prior, `prior_covariance` only completes the covariance of blind axes.
 
     Returns the pose (x, y, theta), information and covariance (3, 3), size of the last step (m),
     iterations, weak axis (rad), weakness, and of the sums: pairs, inliers, beams paired, fitting
@@ -83,7 +83,7 @@ def align(
     if has_prior:
         prior = rows[3, :3]
         prior[0], prior[1], prior[2] = prior_x, prior_y, prior_theta
-        size, count = settle_by_prior(
+        size, count = run_passes_with_prior(
             source_points,
             source_lines,
             source_flags,
@@ -110,7 +110,7 @@ def align(
             rows[5, :DOUBTED_PAIRS],
         )
     else:
-        size, count = settle_from_many(
+        size, count = run_passes_from_many(
             source_points,
             source_lines,
             source_flags,
@@ -127,7 +127,7 @@ def align(
             noise,
             iterations,
             min_pairs,
-            good_quality,
+            good_inlier_fraction,
             partners,
             transforms,
             scratch,
@@ -158,7 +158,7 @@ def align(
         system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
     )
     combine(information, known, covariance)
-    weakest, weakness = weakest_axis(information, prior_covariance)
+    weakest, condition_ratio = weakest_direction(information, prior_covariance)
     return (
         pose[0],
         pose[1],
@@ -168,7 +168,7 @@ def align(
         size,
         count,
         weakest,
-        weakness,
+        condition_ratio,
         int(system[PAIRS]),
         system[INLIERS],
         system[PAIRED],
@@ -180,7 +180,7 @@ def align(
 
 
 @part
-def settle(
+def run_passes(
     source_points,
     source_lines,
     source_flags,
@@ -244,7 +244,7 @@ def settle(
 
 
 @merged
-def settle_by_prior(
+def run_passes_with_prior(
     source_points,
     source_lines,
     source_flags,
@@ -280,7 +280,7 @@ def settle_by_prior(
         copy(known[k], pull[k])
     begin, last, total, size = 0, len(passes) - 1, 0, 0.0
     for attempt in range(3):
-        size, count = settle(
+        size, count = run_passes(
             source_points,
             source_lines,
             source_flags,
@@ -339,7 +339,7 @@ def settle_by_prior(
 
 
 @merged
-def settle_from_many(
+def run_passes_from_many(
     source_points,
     source_lines,
     source_flags,
@@ -356,7 +356,7 @@ def settle_from_many(
     noise,
     iterations,
     min_pairs,
-    good_quality,
+    good_inlier_fraction,
     partners,
     transforms,
     scratch,
@@ -374,7 +374,7 @@ def settle_from_many(
     """
     guess, trial, best = spots[0], spots[1], spots[2]
     copy(pose, guess)
-    size, count = settle(
+    size, count = run_passes(
         source_points,
         source_lines,
         source_flags,
@@ -396,20 +396,20 @@ def settle_from_many(
         scratch,
         system,
     )
-    rivals = len(others)
-    quality = share_that_fits(system, min_pairs)
-    if quality >= good_quality or rivals == 0:
+    alternatives = len(others)
+    inlier_fraction = share_that_fits(system, min_pairs)
+    if inlier_fraction >= good_inlier_fraction or alternatives == 0:
         return size, count
-    best_quality = quality
-    for k in range(rivals + 1):  # the other starts, and the best of them refined
-        refining = k == rivals
+    best_inlier_fraction = inlier_fraction
+    for k in range(alternatives + 1):  # the other starts, and the best of them refined
+        refining = k == alternatives
         if not refining:
             compose(guess, others, k, trial)
-        elif best_quality > quality:
+        elif best_inlier_fraction > inlier_fraction:
             copy(best, trial)
         else:
             break
-        used_size, used = settle(
+        used_size, used = run_passes(
             source_points,
             source_lines,
             source_flags,
@@ -433,10 +433,10 @@ def settle_from_many(
         )
         found = share_that_fits(rival_system, min_pairs)
         if not refining:
-            if found > best_quality:
+            if found > best_inlier_fraction:
                 copy(trial, best)
-                best_quality = found
-        elif found > quality:
+                best_inlier_fraction = found
+        elif found > inlier_fraction:
             copy(trial, pose)
             copy(rival_system, system)
             for ref in range(len(partners)):

@@ -118,10 +118,10 @@ def search(
     excluded = np.array([best[1], best[2], apart / res])
     # Only a rival that comes near the best is of interest.
     threshold = 0.7 * best[0]
-    rival = branch_and_bound(
+    other = branch_and_bound(
         field.levels, xs, ys, bounds, order, angles, cells, threshold, excluded, stack, second
     )
     pose = Pose2(
         window.centre.x() + best[1] * res, window.centre.y() + best[2] * res, float(best[3])
     )
-    return Found(pose, float(best[0]), float(second[0]) if rival else 0.0)
+    return Found(pose, float(best[0]), float(second[0]) if other else 0.0)

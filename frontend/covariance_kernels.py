@@ -97,7 +97,7 @@ def combine(information, known, covariance):
 
 
 @merged
-def weakest_axis(information, known):
+def weakest_direction(information, known):
     """Direction (rad) of the translation that the match knows worst, and by what ratio.
 
     The ratio is the match's own sigma over the sigma that `known` (3, 3), the prior's

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 Vector = NDArray[np.float64]
 _GAP = 10.0  # beam spacings between neighbours that lie on one surface
@@ -21,7 +21,9 @@ def sweep_ns(scan: LaserScan) -> int:
     return round(scan.beam_period_s * (len(scan.ranges) - 1) * 1e9)
 
 
-def unbend(scan: LaserScan, mount: LaserMount, moved: tuple[float, float, float]) -> LaserScan:
+def deskew(
+    scan: LaserScan, extrinsics: LaserExtrinsics, moved: tuple[float, float, float]
+) -> LaserScan:
     """Return the scan that the laser would have made where its first beam was measured.
 
     Beams keep their bearings.  A bearing that no beam looked along in truth, at one end of a
@@ -29,7 +31,7 @@ def unbend(scan: LaserScan, mount: LaserMount, moved: tuple[float, float, float]
 
     Args:
         scan: with `beam_period_s`.
-        mount: `base_T_laser`.
+        extrinsics: `base_T_laser`.
         moved: x, y (m) and theta (rad) of the base at the last beam, seen from the first; in
             between it moves evenly.
     """
@@ -38,27 +40,27 @@ def unbend(scan: LaserScan, mount: LaserMount, moved: tuple[float, float, float]
         return scan
     bearings = scan.angle_min + scan.angle_step * np.arange(count, dtype=np.float64)
     ranges = scan.ranges.astype(np.float64)
-    turned, distances = _seen_from_the_first(bearings, ranges, mount, moved)
+    turned, distances = _seen_from_the_first(bearings, ranges, extrinsics, moved)
     at = np.arange(count) + turned / scan.angle_step
     found = _resampled(at, distances, abs(scan.angle_step)).astype(np.float32)
     return replace(scan, ranges=found, beam_period_s=0.0)
 
 
 def _seen_from_the_first(
-    bearings: Vector, ranges: Vector, mount: LaserMount, moved: tuple[float, float, float]
+    bearings: Vector, ranges: Vector, extrinsics: LaserExtrinsics, moved: tuple[float, float, float]
 ) -> tuple[Vector, Vector]:
     """By how much each beam's bearing changes, (n,) rad, and its range, (n,) m."""
     share = np.arange(len(ranges)) / (len(ranges) - 1)
     heading = share * moved[2]
     cos, sin = np.cos(heading), np.sin(heading)
     # From the laser at the first beam to the laser at each, in the base's axes then.
-    ahead = share * moved[0] + (cos - 1.0) * mount.x - sin * mount.y
-    left = share * moved[1] + sin * mount.x + (cos - 1.0) * mount.y
-    direction = bearings + mount.theta + heading
+    ahead = share * moved[0] + (cos - 1.0) * extrinsics.x - sin * extrinsics.y
+    left = share * moved[1] + sin * extrinsics.x + (cos - 1.0) * extrinsics.y
+    direction = bearings + extrinsics.theta + heading
     hit = np.isfinite(ranges)
     length = np.where(hit, ranges, 1.0)
     x, y = ahead + length * np.cos(direction), left + length * np.sin(direction)
-    seen = np.arctan2(y, x) - mount.theta - bearings
+    seen = np.arctan2(y, x) - extrinsics.theta - bearings
     turned = np.where(hit, np.remainder(seen + np.pi, 2.0 * np.pi) - np.pi, heading)
     return turned, np.where(hit, np.hypot(x, y), ranges)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from slam.frontend.information_kernels import foresee
+from slam.frontend.information_kernels import predict
 from slam.frontend.scan import VALID, PreparedScan
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ MOST_BEAMS = 180  # cast into the scan
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Outlook:
+class PredictionModel:
     """What is known, besides the scan, about the matches to come; all of it physical."""
 
     odometry: Callable[[float, float], Array]  # m travelled, rad turned -> (3, 3) covariance
@@ -35,11 +35,11 @@ class Outlook:
     range_noise: float  # m, one sigma
     correlation: float  # factor on the variance that range noise alone explains, at least 1
     gap_ratio: float  # of beam spacings, that parts two surfaces
-    slack: float  # by which share of the least a foreseen error may be larger
+    tolerance: float  # by which share of the least a foreseen error may be larger
 
 
 @dataclass(frozen=True, slots=True)
-class Foresight:
+class Prediction:
     """The chosen distance and what is expected of the match after it."""
 
     distance: float  # m
@@ -47,22 +47,22 @@ class Foresight:
     axis: str  # of AXES: the one that costs most there
 
 
-def informations(scan: PreparedScan, poses: Array, outlook: Outlook) -> tuple[Array, Array]:
+def informations(scan: PreparedScan, poses: Array, model: PredictionModel) -> tuple[Array, Array]:
     """What a match of a scan taken at each of `poses` against this one would know.
 
     Args:
         scan: the keyframe.
         poses: (k, 3) base_T_later: x, y (m), theta (rad).
-        outlook: the noise.
+        model: the noise.
 
     Returns:
         (k, 3, 3) information of x, y, theta in the later frame, without floor and prior, and
         (k,) the number of beams that would find a partner.
     """
     information, pairs = np.empty((len(poses), 3, 3)), np.empty(len(poses))
-    foresee(
-        scan.points, scan.lines, scan.flags, scan.geometry, outlook.range_noise,
-        outlook.gap_ratio, MOST_BEAMS, poses, outlook.range_noise**2 * outlook.correlation,
+    predict(
+        scan.points, scan.lines, scan.flags, scan.geometry, model.range_noise,
+        model.gap_ratio, MOST_BEAMS, poses, model.range_noise**2 * model.correlation,
         information, pairs,
     )  # fmt: skip
     return information, pairs
@@ -70,19 +70,19 @@ def informations(scan: PreparedScan, poses: Array, outlook: Outlook) -> tuple[Ar
 
 def distance_of_overlap(
     scan: PreparedScan, direction: float, shortest: float, longest: float, least: float,
-    outlook: Outlook,
+    model: PredictionModel,
 ) -> float:  # fmt: skip
     """The farthest distance (m) up to which `least` of the paired beams still find a partner."""
     distances = np.geomspace(shortest, longest, _count(shortest, longest, PER_OCTAVE))
     poses = _ahead(np.concatenate([[0.0], distances]), direction)
-    pairs = informations(scan, poses, outlook)[1]
+    pairs = informations(scan, poses, model)[1]
     enough = np.logical_and.accumulate(pairs[1:] >= least * pairs[0])
     return float(distances[enough][-1]) if enough.any() else shortest
 
 
 def best_distance(
-    scan: PreparedScan, direction: float, shortest: float, longest: float, outlook: Outlook
-) -> Foresight:
+    scan: PreparedScan, direction: float, shortest: float, longest: float, model: PredictionModel
+) -> Prediction:
     """The farthest distance whose matches add about the least variance per metre of path.
 
     With P(d) the trace of a match's covariance (the heading counts by r^2, r the median distance
@@ -98,20 +98,20 @@ def best_distance(
         direction: rad, in the base frame, in which the robot travels.
         shortest: m, the least distance.
         longest: m, the greatest.
-        outlook: the rest.
+        model: the rest.
     """
     reach = _reach(scan)
-    steps = _steps(shortest, longest, outlook.references)
-    odometry = np.array([outlook.odometry(float(d), 0.0) for d in steps])
-    seen = _seen(scan, _ahead(steps, direction), outlook)
-    chosen = _farthest(steps, seen, odometry, longest, reach, reach, outlook)
+    steps = _steps(shortest, longest, model.references)
+    odometry = np.array([model.odometry(float(d), 0.0) for d in steps])
+    seen = _seen(scan, _ahead(steps, direction), model)
+    chosen = _farthest(steps, seen, odometry, longest, reach, reach, model)
     nearest = int(np.argmin(np.abs(np.log(steps / chosen))))
     variances = np.diag(np.linalg.inv(seen[nearest] + np.linalg.inv(odometry[nearest])))
     sx, sy, st = np.sqrt(variances).tolist()
-    return Foresight(chosen, (sx, sy, st), AXES[int(np.argmax(variances * _lever(reach)))])
+    return Prediction(chosen, (sx, sy, st), AXES[int(np.argmax(variances * _lever(reach)))])
 
 
-def best_turn(scan: PreparedScan, narrowest: float, widest: float, outlook: Outlook) -> float:
+def best_turn(scan: PreparedScan, narrowest: float, widest: float, model: PredictionModel) -> float:
     """The widest turn (rad), to either side, whose matches add the least variance per radian.
 
     As `best_distance`; what is seen is new after a turn by the field of view.
@@ -120,21 +120,21 @@ def best_turn(scan: PreparedScan, narrowest: float, widest: float, outlook: Outl
         scan: the keyframe.
         narrowest: rad, the least turn.
         widest: rad, the greatest.
-        outlook: the rest.
+        model: the rest.
     """
     reach, field = _reach(scan), min(len(scan.points) * float(scan.geometry[1]), 2.0 * math.pi)
-    steps = _steps(narrowest, widest, outlook.references)
-    odometry = np.array([outlook.odometry(0.0, float(a)) for a in steps])
+    steps = _steps(narrowest, widest, model.references)
+    odometry = np.array([model.odometry(0.0, float(a)) for a in steps])
     chosen = []
     for side in (1.0, -1.0):
-        seen = _seen(scan, side * steps[:, None] * np.array([0.0, 0.0, 1.0]), outlook)
-        chosen.append(_farthest(steps, seen, odometry, widest, field, reach, outlook))
+        seen = _seen(scan, side * steps[:, None] * np.array([0.0, 0.0, 1.0]), model)
+        chosen.append(_farthest(steps, seen, odometry, widest, field, reach, model))
     return min(chosen)
 
 
 def _farthest(
     steps: Array, seen: Array, odometry: Array, longest: float, renewed: float, reach: float,
-    outlook: Outlook,
+    model: PredictionModel,
 ) -> float:  # fmt: skip
     """The longest step that adds about the least variance a unit of way.
 
@@ -145,19 +145,19 @@ def _farthest(
         longest: of the steps that may be chosen.
         renewed: after how much way something else is seen, in units of the steps.
         reach: m, median distance of what is seen.
-        outlook: the rest.
+        model: the rest.
     """
     covariances = np.linalg.inv(seen + np.linalg.inv(odometry))
     variances = np.diagonal(covariances, axis1=1, axis2=2) @ _lever(reach)
     own = np.diagonal(covariances @ seen @ covariances, axis1=1, axis2=2) @ _lever(reach)
-    lasting = (1.0 - 1.0 / outlook.correlation) * renewed
+    lasting = (1.0 - 1.0 / model.correlation) * renewed
     within = np.flatnonzero(steps <= longest * (1.0 + 1e-9))
-    back = _mean_reference(steps[within], steps, variances, outlook.references)
+    back = _mean_reference(steps[within], steps, variances, model.references)
     grown = (variances[within] * steps[within] + lasting * own[within]) / back**2
     logs = np.log(steps[within])
     candidates = np.linspace(logs[0], logs[-1], FINER * (len(logs) - 1) + 1)
     cost = np.interp(candidates, logs, np.log(grown))
-    return float(np.exp(candidates[cost <= cost.min() + 2.0 * math.log1p(outlook.slack)][-1]))
+    return float(np.exp(candidates[cost <= cost.min() + 2.0 * math.log1p(model.tolerance)][-1]))
 
 
 def _mean_reference(chosen: Array, steps: Array, variances: Array, references: int) -> Array:
@@ -168,9 +168,9 @@ def _mean_reference(chosen: Array, steps: Array, variances: Array, references: i
     return mean
 
 
-def _seen(scan: PreparedScan, poses: Array, outlook: Outlook) -> Array:
+def _seen(scan: PreparedScan, poses: Array, model: PredictionModel) -> Array:
     """(k, 3, 3) information of matches from `poses`; rounding leaves no negative direction."""
-    values, vectors = np.linalg.eigh(informations(scan, poses, outlook)[0])
+    values, vectors = np.linalg.eigh(informations(scan, poses, model)[0])
     kept: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ vectors.transpose(0, 2, 1)
     return kept
 

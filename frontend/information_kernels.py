@@ -138,7 +138,7 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
 
 
 @kernel
-def foresee(
+def predict(
     points, lines, flags, geometry, noise, gap_ratio, most_beams, poses, variance, informations,
     pairs,
 ):  # fmt: skip

@@ -11,8 +11,8 @@ from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from slam.frontend.complexity import PoseComplexity, pose_score, wall_profiles, wall_sums
 from slam.frontend.information import (
-    Foresight,
-    Outlook,
+    Prediction,
+    PredictionModel,
     best_distance,
     best_turn,
     distance_of_overlap,
@@ -51,11 +51,11 @@ class KeyframeConfig(BaseModel):
     longest: float = Field(3.0, gt=0, description="m, the longest foreseen interval")
     # A foreseen sigma is right to about a tenth (0.05 to 0.16 in the median over the simulated
     # worlds), so no choice is better than that; but in an open chain every error stays and adds up.
-    slack: float = Field(
+    tolerance: float = Field(
         0.1, ge=0, description="share by which a foreseen error may exceed the least, for longer "
         "intervals, where loops are closed",
     )  # fmt: skip
-    slack_open: float = Field(
+    tolerance_open: float = Field(
         0.025, ge=0, description="the same where no loops are closed and every error stays"
     )
     least_overlap: float = Field(
@@ -91,7 +91,7 @@ class KeyframeConfig(BaseModel):
     @property
     def open(self) -> KeyframeConfig:
         """The settings for a chain of keyframes whose loops are not closed."""
-        return self.model_copy(update={"slack": self.slack_open, "widest": self.widest_open})
+        return self.model_copy(update={"slack": self.tolerance_open, "widest": self.widest_open})
 
     @property
     def foresees(self) -> bool:
@@ -105,13 +105,13 @@ class Interval:
 
     length: float  # in the configured unit
     complexity: PoseComplexity | None  # None where the method does not look at the walls
-    foresight: Foresight | None = None  # None where it does not foresee the match
+    prediction: Prediction | None = None  # None where it does not foresee the match
     open: bool = False  # to be chosen when the robot has begun to move
     turn: float | None = None  # rad; None: as configured
 
 
 def interval_after(
-    keyframe: PreparedScan, config: KeyframeConfig, outlook: Outlook | None = None
+    keyframe: PreparedScan, config: KeyframeConfig, model: PredictionModel | None = None
 ) -> Interval:
     """The interval from this keyframe to the next, as far as it is known before the robot moves.
 
@@ -123,8 +123,8 @@ def interval_after(
         return Interval(config.interval, None)
     if config.foresees:
         turn = None
-        if config.method == "information" and outlook is not None:
-            turn = best_turn(keyframe, config.narrowest, config.widest, outlook)
+        if config.method == "information" and model is not None:
+            turn = best_turn(keyframe, config.narrowest, config.widest, model)
         return Interval(config.longest, None, open=True, turn=turn)
     left, right = wall_profiles(keyframe.points, config.profile_reach, config.profile_bin)
     complexity = pose_score(wall_sums(left), wall_sums(right), config.weights)
@@ -135,24 +135,24 @@ def interval_after(
 
 
 def interval_ahead(
-    keyframe: PreparedScan, moved: Pose2, outlook: Outlook, config: KeyframeConfig
+    keyframe: PreparedScan, moved: Pose2, model: PredictionModel, config: KeyframeConfig
 ) -> Interval:
     """The interval of a method that foresees the match, once it is known where the robot goes.
 
     Args:
         keyframe: the last one.
         moved: keyframe_T_now by odometry; the robot is taken to go on in that direction.
-        outlook: what is known about the matches to come.
+        model: what is known about the matches to come.
         config: method and limits.
     """
     direction = math.atan2(moved.y(), moved.x())
     if config.method == "overlap":
         length = distance_of_overlap(
-            keyframe, direction, config.shortest, config.longest, config.least_overlap, outlook
+            keyframe, direction, config.shortest, config.longest, config.least_overlap, model
         )
         return Interval(length, None)
-    foresight = best_distance(keyframe, direction, config.shortest, config.longest, outlook)
-    return Interval(foresight.distance, None, foresight)
+    prediction = best_distance(keyframe, direction, config.shortest, config.longest, model)
+    return Interval(prediction.distance, None, prediction)
 
 
 def reason_to_keep(

@@ -32,7 +32,7 @@ def without_blind_axis(
         new: scan that was matched.
         predicted: target_T_source as the graph has it.
     """
-    along, weak, strong = weak_axis(result.information)
+    along, weak, strong = degenerate_direction(result.information)
     blind = weak > BLIND_M
     if not blind and weak > LOPSIDED * strong:
         axis = result.target_T_source.rotation().matrix() @ along
@@ -46,10 +46,12 @@ def without_blind_axis(
     error = Pose2.Logmap(result.target_T_source.between(predicted))
     pose = result.target_T_source * Pose2.Expmap(float(error[:2] @ along) * shift)
     angle = float(np.arctan2(along[1], along[0]))
-    return result._replace(target_T_source=pose, information=information, weak_axis=angle)
+    return result._replace(
+        target_T_source=pose, information=information, degenerate_direction=angle
+    )
 
 
-def weak_axis(information: Matrix) -> tuple[Matrix, float, float]:
+def degenerate_direction(information: Matrix) -> tuple[Matrix, float, float]:
     """Unit vector (2,) of the worst known translation, its sigma and that across it, in m.
 
     The heading is marginalised; sigmas are inf where nothing is known.

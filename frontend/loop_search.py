@@ -33,13 +33,15 @@ class LoopSearchConfig(BaseModel):
 
     correlative: CorrelativeConfig = CorrelativeConfig()
     min_score: float = Field(0.45, ge=0, le=1, description="of the correlative search")
-    rival_ratio: float = Field(
+    ambiguity_ratio: float = Field(
         0.92,
         gt=0,
         le=1,
         description="a second place that scores this share of the best is ambiguous",
     )
-    min_explained: float = Field(0.6, ge=0, le=1, description="share of paired beams that must fit")
+    min_pair_inlier_fraction: float = Field(
+        0.6, ge=0, le=1, description="share of paired beams that must fit"
+    )
     min_fit: float = Field(
         0.55, ge=0, le=1, description="mean likelihood of the query at the result"
     )
@@ -50,7 +52,9 @@ class LoopSearchConfig(BaseModel):
 class Closure:
     """A candidate after the search; `reason` is empty if nothing spoke against it."""
 
-    result: MatchResult | None  # of the refined match; a `weak_axis` is one it does not know
+    result: (
+        MatchResult | None
+    )  # of the refined match; a `degenerate_direction` is one it does not know
     score: float
     second_score: float
     reason: str
@@ -116,12 +120,14 @@ def _refine(
     score, second = found.score, found.second_score
     if not result.converged:
         return Closure(None, score, second, f"match refused: {result.reason}")
-    if result.explained < config.min_explained:
-        return Closure(result, score, second, f"only {100 * result.explained:.0f} % of beams fit")
+    if result.pair_inlier_fraction < config.min_pair_inlier_fraction:
+        return Closure(
+            result, score, second, f"only {100 * result.pair_inlier_fraction:.0f} % of beams fit"
+        )
     fit = likelihood_at(field, points, result.target_T_source)
     if fit < config.min_fit:
         return Closure(result, fit, second, f"mean likelihood {fit:.2f} is too low")
-    if second > config.rival_ratio * score:
+    if second > config.ambiguity_ratio * score:
         return Closure(result, fit, second, "another place in the window fits as well")
     return Closure(
         without_blind_axis(result, _anchor(references), newest, predicted), fit, second, ""

@@ -32,10 +32,10 @@ class MatchConfig(BaseModel):
     ndt_cell: float = Field(1.0, gt=0, description="m, cell of ndt")
     tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
     min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
-    good_quality: float = Field(
+    good_inlier_fraction: float = Field(
         0.6, ge=0, le=1, description="share of beams that fit, below which other starts are tried"
     )
-    min_explained: float = Field(
+    min_pair_inlier_fraction: float = Field(
         0.35, ge=0, le=1, description="share of paired beams that must fit"
     )
     correlation: float = Field(
@@ -71,7 +71,7 @@ class MatchConfig(BaseModel):
         """The last arguments of `align`: noise, variance, floors, iterations, pairs, quality."""
         return (
             self.range_noise, self.range_noise**2 * self.correlation, self.floor_trans,
-            self.floor_rot, self.iterations, self.min_pairs, self.good_quality,
+            self.floor_rot, self.iterations, self.min_pairs, self.good_inlier_fraction,
         )  # fmt: skip
 
 
@@ -99,12 +99,14 @@ class MatchResult(NamedTuple):
     information: Matrix  # (3, 3) of the scans alone, the prior left out
     covariance: Matrix  # (3, 3) of the pose, the prior included
     pairs: int
-    explained: float  # share of the pairs within `final_scale` of their line
+    pair_inlier_fraction: float  # share of the pairs within `final_scale` of their line
     overlap: float  # share of the beams that found a partner in any reference
-    quality: float  # share of the beams that fit a line of any reference
+    inlier_fraction: float  # share of the beams that fit a line of any reference
     rms: float  # m, robust, of the residuals
-    weak_axis: float | None  # rad, direction in the source frame that the prior carries, if any
-    weakness: float  # own sigma over the prior's sigma along that axis (or the weakest one)
+    degenerate_direction: (
+        float | None
+    )  # rad, direction in the source frame that the prior carries, if any
+    condition_ratio: float  # own sigma over the prior's sigma along that axis (or the weakest one)
     iterations: int
     converged: bool
     reason: str  # why it was refused; empty when it was not

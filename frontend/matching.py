@@ -15,7 +15,7 @@ from slam.frontend.match_types import MatchConfig, MatchResult, Matrix, Prior, R
 from slam.frontend.scan import PreparedScan
 
 # An iteration that still swings by a few tolerances stands well within the bias floor.
-SETTLED = 10.0
+CONVERGED_TOLERANCES = 10.0
 
 # Other starts about a guess that nothing vouches for: turned, or moved along or across.
 OTHER_STARTS = np.array(
@@ -74,7 +74,7 @@ def _alternative(
     at = found.x(), found.y(), found.theta()
     last_pass = config.passes_with_prior[-1:]
     judged = _align(stack, source, found, at, last_pass, NO_STARTS, config, prior)
-    if last_step > SETTLED * config.tolerance:
+    if last_step > CONVERGED_TOLERANCES * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
         return judged._replace(
             target_T_source=found, iterations=iterations, converged=False, reason=reason
@@ -96,7 +96,7 @@ def _align(
         known, at = np.ascontiguousarray(prior.covariance), prior.target_T_source
         centre = start if at is guess else (at.x(), at.y(), at.theta())
     (
-        x, y, theta, information, covariance, last_step, iterations, axis, weakness,
+        x, y, theta, information, covariance, last_step, iterations, axis, condition_ratio,
         pairs, inliers, paired, fitting, tried, cost, weight,
     ) = align(
         source.points, source.lines, source.flags, source.geometry, *stack,
@@ -104,16 +104,16 @@ def _align(
     )  # fmt: skip
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
-    explained = inliers / pairs
+    pair_inlier_fraction = inliers / pairs
     reason = ""
-    if last_step > SETTLED * config.tolerance:
+    if last_step > CONVERGED_TOLERANCES * config.tolerance:
         reason = f"no convergence in {iterations} iterations"
-    elif explained < config.min_explained:
-        reason = f"only {100 * explained:.0f} % of the pairs fit"
+    elif pair_inlier_fraction < config.min_pair_inlier_fraction:
+        reason = f"only {100 * pair_inlier_fraction:.0f} % of the pairs fit"
     return MatchResult(
-        Pose2(x, y, theta), information, covariance, pairs, explained, paired / tried,
-        fitting / tried, math.sqrt(cost / weight), axis if weakness > 1.0 else None, weakness,
-        iterations, not reason, reason,
+        Pose2(x, y, theta), information, covariance, pairs, pair_inlier_fraction, paired / tried,
+        fitting / tried, math.sqrt(cost / weight), axis if condition_ratio > 1.0 else None,
+        condition_ratio, iterations, not reason, reason,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from slam.frontend.scan_kernels import LINE, VALID, read_scan
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 __all__ = ["LINE", "VALID", "PreparedScan", "ScanConfig", "prepare"]
 
@@ -37,7 +37,7 @@ class ScanConfig(BaseModel):
     normal_sigma_max: float = Field(
         0.20, gt=0, description="rad, less certain normals are not used as lines"
     )
-    unbend: bool = Field(
+    deskew: bool = Field(
         False, description="take the motion during a sweep out of scans that tell their timing"
     )
 
@@ -86,7 +86,7 @@ def reach_table(step: float) -> NDArray[np.float64]:
     return table
 
 
-def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedScan:
+def prepare(scan: LaserScan, extrinsics: LaserExtrinsics, config: ScanConfig) -> PreparedScan:
     """Turn a scan into points with lines in the base frame; any beam count, any field of view."""
     ranges, angle_min, step = scan.ranges, scan.angle_min, scan.angle_step
     if step < 0:  # a laser that turns clockwise: the same scan, read from its end
@@ -95,11 +95,12 @@ def prepare(scan: LaserScan, mount: LaserMount, config: ScanConfig) -> PreparedS
         ranges.setflags(write=False)  # as all others are: one compiled kernel serves both
     in_a_turn = 2 * math.pi / step - 1e-6
     whole = len(ranges) if len(ranges) > in_a_turn - 1.5 else math.floor(in_a_turn)
-    first = math.remainder(angle_min + mount.theta, 2 * math.pi)  # the search wraps but once
+    first = math.remainder(angle_min + extrinsics.theta, 2 * math.pi)  # the search wraps but once
     nearest, farthest = max(scan.range_min, 1e-3), min(scan.range_max, config.max_range)
     points, lines, windows, flags, geometries, centre, starts, valid = read_scan(
-        ranges, first, float(step), float(mount.x), float(mount.y), whole, nearest, float(farthest),
-        config.range_noise, config.line_tolerance, config.gap_ratio, config.normal_sigma_max,
+        ranges, first, float(step), float(extrinsics.x), float(extrinsics.y), whole,
+        nearest, float(farthest), config.range_noise, config.line_tolerance,
+        config.gap_ratio, config.normal_sigma_max,
     )  # fmt: skip
     for array in (points, lines, windows, flags, geometries, centre):
         array.setflags(write=False)

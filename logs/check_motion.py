@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from slam.logs.findings import Finding, seconds
-from slam.logs.messages import LaserMount, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, WheelOdometry
 
 TOP_SPEED = 3.0  # m/s; a P3-DX does 1.2
 TOP_TURN_RATE = 6.3  # rad/s; a P3-DX does 5.2
@@ -89,20 +89,20 @@ class MountCheck:
     """Where the laser sits on the robot."""
 
     def __init__(self) -> None:
-        self._mount: LaserMount | None = None
+        self._extrinsics: LaserExtrinsics | None = None
         self._changes = 0
 
-    def feed(self, mount: LaserMount) -> None:
+    def feed(self, extrinsics: LaserExtrinsics) -> None:
         """Take in one message."""
-        pose = (mount.x, mount.y, mount.theta)
-        last = self._mount
+        pose = (extrinsics.x, extrinsics.y, extrinsics.theta)
+        last = self._extrinsics
         self._changes += last is not None and pose != (last.x, last.y, last.theta)
-        self._mount = mount
+        self._extrinsics = extrinsics
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd."""
-        mount = self._mount
-        if mount is None:
+        extrinsics = self._extrinsics
+        if extrinsics is None:
             yield Finding(
                 "warning", "no-mount", "/tf",
                 "the laser's place on the robot is not in the log: it is taken to sit on the axle",
@@ -115,9 +115,11 @@ class MountCheck:
                 "laser that was moved; each scan is taken from the place last named",
                 self._changes,
             )  # fmt: skip
-        if not math.hypot(mount.x, mount.y) <= FAR_MOUNT_M or not math.isfinite(mount.theta):
+        if not math.hypot(extrinsics.x, extrinsics.y) <= FAR_MOUNT_M or not math.isfinite(
+            extrinsics.theta
+        ):
             yield Finding(
                 "warning", "mount-far", "/tf",
-                f"the laser sits at ({mount.x:.3g}, {mount.y:.3g}) m, "
+                f"the laser sits at ({extrinsics.x:.3g}, {extrinsics.y:.3g}) m, "
                 "beyond the robot's outline: wrong units?",
             )  # fmt: skip

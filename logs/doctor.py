@@ -28,7 +28,7 @@ from slam.logs.findings import SEVERITIES, Finding, Severity
 from slam.logs.info import recording_losses
 from slam.logs.mcap_open import open_log
 from slam.logs.mcap_read import Log
-from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 from slam.logs.schemas import CHANNELS, topic_of
 
 _TOPICS = ("/scan", "/odom", "/tf", "/truth")
@@ -76,7 +76,7 @@ class Examination:
     def __init__(self) -> None:
         self._stamps = {topic: StampCheck(topic) for topic in _STAMPED}
         self._receipts = {topic: ReceiptCheck(topic) for topic in _STAMPED}
-        self._scans, self._odometry, self._mount = ScanCheck(), OdometryCheck(), MountCheck()
+        self._scans, self._odometry, self._extrinsics = ScanCheck(), OdometryCheck(), MountCheck()
 
     def feed(self, receipt_ns: int, message: Message) -> None:
         """Take in one message and its time of receipt."""
@@ -89,12 +89,12 @@ class Examination:
             self._odometry.feed_scan(message.stamp_ns)
         elif isinstance(message, WheelOdometry):
             self._odometry.feed(message)
-        elif isinstance(message, LaserMount):
-            self._mount.feed(message)
+        elif isinstance(message, LaserExtrinsics):
+            self._extrinsics.feed(message)
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd, check after check."""
-        for check in (self._scans, self._odometry, self._mount):
+        for check in (self._scans, self._odometry, self._extrinsics):
             yield from check.findings()
         for topic in _STAMPED:
             if not self._stamps[topic].empty:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from slam.logs.messages import (
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
     OccupancyMap,
@@ -143,7 +143,7 @@ def decode_pose(stamp_ns: int, data: bytes) -> PoseEstimate:
     return PoseEstimate(stamp_ns, *pose, covariance, read.slam.lost)
 
 
-def encode_mount(message: LaserMount) -> bytes:
+def encode_mount(message: LaserExtrinsics) -> bytes:
     """Encode `base_T_laser` as a transform of the tree that viewers keep."""
     return encode_transform(message.stamp_ns, "base", "laser", message.x, message.y, message.theta)
 
@@ -161,13 +161,13 @@ def encode_transform(
     return payload
 
 
-def decode_mount(stamp_ns: int, data: bytes) -> LaserMount:
+def decode_mount(stamp_ns: int, data: bytes) -> LaserExtrinsics:
     """Decode `base_T_laser`; another program's transform between other frames is refused."""
     read = _Transform.FromString(data)
     if (read.parent_frame_id, read.child_frame_id) != ("base", "laser"):
         raise ValueError("a transform of other frames than base and laser")
     theta = read.slam.theta if read.HasField("slam") else _heading(read.rotation)
-    return LaserMount(stamp_ns, read.translation.x, read.translation.y, theta)
+    return LaserExtrinsics(stamp_ns, read.translation.x, read.translation.y, theta)
 
 
 def encode_map(message: OccupancyMap) -> bytes:

@@ -47,7 +47,7 @@ class WheelOdometry:
 
 
 @dataclass(frozen=True, slots=True)
-class LaserMount:
+class LaserExtrinsics:
     """`base_T_laser`: where the laser sits on the robot."""
 
     stamp_ns: int
@@ -122,7 +122,7 @@ class FactorRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopVerdict:
+class LoopResult:
     """What became of the loop candidate between keyframes i (old) and j (new)."""
 
     stamp_ns: int
@@ -171,7 +171,7 @@ class DeviceHealth:
     values: tuple[str, ...]  # as many
 
 
-SensorMessage = LaserScan | WheelOdometry | LaserMount | TruePose | RawBytes
-ResultMessage = PoseEstimate | KeyframeDecision | FactorRecord | LoopVerdict | OccupancyMap
+SensorMessage = LaserScan | WheelOdometry | LaserExtrinsics | TruePose | RawBytes
+ResultMessage = PoseEstimate | KeyframeDecision | FactorRecord | LoopResult | OccupancyMap
 StatusMessage = LogLine | DeviceHealth
 Message = SensorMessage | ResultMessage | StatusMessage

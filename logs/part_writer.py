@@ -10,7 +10,7 @@ from pathlib import Path
 from slam.logs.attachments import Attachment
 from slam.logs.errors import LogError
 from slam.logs.mcap_log import LogWriter
-from slam.logs.messages import LaserMount, Message
+from slam.logs.messages import LaserExtrinsics, Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class PartWriter:
         self._fresh: list[Path] = []
         self._notes: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, Attachment] = {}
-        self._mount: tuple[LaserMount, int | None] | None = None
+        self._extrinsics: tuple[LaserExtrinsics, int | None] | None = None
         self._part = 0
         self._log = self._open()
 
@@ -67,8 +67,8 @@ class PartWriter:
         """
         if self._due():
             self._rotate()
-        if isinstance(message, LaserMount):
-            self._mount = message, receipt_ns
+        if isinstance(message, LaserExtrinsics):
+            self._extrinsics = message, receipt_ns
         try:
             self._log.write(message, receipt_ns)
         except LogError:
@@ -121,8 +121,8 @@ class PartWriter:
             self._log.add_metadata(name, values)
         for kept in self._attachments.values():
             self._log.add_attachment(kept.name, kept.data, kept.media_type)
-        if self._mount is not None:
-            self._log.write(*self._mount)
+        if self._extrinsics is not None:
+            self._log.write(*self._extrinsics)
 
     def _open(self) -> LogWriter:
         path, run = self._path, self._run

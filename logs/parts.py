@@ -14,7 +14,7 @@ from pathlib import Path
 
 from slam.logs.attachments import Attachment
 from slam.logs.mcap_open import open_log
-from slam.logs.messages import LaserMount, Message
+from slam.logs.messages import LaserExtrinsics, Message
 
 _NUMBERED = re.compile(r"(?P<name>.*_)(?P<part>[0-9]{3,})(?P<suffix>\.[^.]*)")
 
@@ -71,14 +71,14 @@ class Recording:
         """
         self.skipped.clear()
         self.skipped.update({f"part {number} is missing": 1 for number in self.missing})
-        mount: LaserMount | None = None
+        extrinsics: LaserExtrinsics | None = None
         for path in self.files:
             with open_log(path) as log:
                 for receipt_ns, message in log.receipts(topics):
-                    if isinstance(message, LaserMount):
-                        if message == mount:
+                    if isinstance(message, LaserExtrinsics):
+                        if message == extrinsics:
                             continue
-                        mount = message
+                        extrinsics = message
                     yield receipt_ns, message
                 self.skipped.update(log.skipped)
 

@@ -16,10 +16,10 @@ from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     KeyframeDecision,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
-    LoopVerdict,
+    LoopResult,
     Message,
     OccupancyMap,
     PoseEstimate,
@@ -78,8 +78,8 @@ def _own(topic: str, kind: Callable[..., Any]) -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
-        if flaw := _FLAWS.get(name, _no_flaw)(values):
-            raise ValueError(flaw)
+        if validate_message := _FLAWS.get(name, _no_flaw)(values):
+            raise ValueError(validate_message)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
@@ -112,7 +112,7 @@ _ALL = (
     Channel("/map", "Grid", foxglove.encode_map, foxglove.decode_map),
     _own("/keyframe", KeyframeDecision),
     _own("/factor", FactorRecord),
-    _own("/loop", LoopVerdict),
+    _own("/loop", LoopResult),
     Channel("/log", "Log", foxglove.encode_log, foxglove.decode_log),
     _own("/diagnostics", DeviceHealth),
     _raw("/raw/p3dx/rx", "p3dx", "rx"),
@@ -127,13 +127,13 @@ CHANNELS = {channel.topic: channel for channel in _ALL}
 _TOPICS: dict[type, str] = {
     LaserScan: "/scan",
     WheelOdometry: "/odom",
-    LaserMount: "/tf",
+    LaserExtrinsics: "/tf",
     TruePose: "/truth",
     PoseEstimate: "/pose",
     OccupancyMap: "/map",
     KeyframeDecision: "/keyframe",
     FactorRecord: "/factor",
-    LoopVerdict: "/loop",
+    LoopResult: "/loop",
     LogLine: "/log",
     DeviceHealth: "/diagnostics",
 }

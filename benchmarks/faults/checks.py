@@ -29,7 +29,7 @@ def differences(live: Slam, again: Slam) -> list[str]:
         "odometry": (live.scans.odom_poses.tobytes(), again.scans.odom_poses.tobytes()),
         "decisions": (repr(live.records.decisions), repr(again.records.decisions)),
         "factors": (repr(live.records.factors), repr(again.records.factors)),
-        "verdicts": (repr(live.loops.verdicts), repr(again.loops.verdicts)),
+        "verdicts": (repr(live.loops.closure_results), repr(again.loops.closure_results)),
         "live poses": (repr(live.records.estimates), repr(again.records.estimates)),
         "graph": (_graph_bytes(live), _graph_bytes(again)),
         "losses": (live.lost, again.lost),

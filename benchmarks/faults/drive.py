@@ -102,15 +102,15 @@ class FaultyDrive:
 
     def received(self) -> list[Received]:
         """All that both threads hand over, in one order."""
-        mount = MountConfig(x=0.16).message(EPOCH_NS)
+        extrinsics = MountConfig(x=0.16).message(EPOCH_NS)
         streams = self.robot.received, self.laser.received
-        return [Received(EPOCH_NS, mount), *heapq.merge(*streams, key=lambda r: r.receipt_ns)]
+        return [Received(EPOCH_NS, extrinsics), *heapq.merge(*streams, key=lambda r: r.receipt_ns)]
 
     def record(self, path: Path, config: SlamConfig) -> tuple[Slam, Intake]:
         """Record and step, as a live run does."""
         settings = RecorderConfig(recompress=False, reserve_bytes=0)
         with Recorder(path, {}, settings) as recorder, ThreadPoolExecutor(1) as loops:
-            slam = Slam(config, beside=loops.submit)
+            slam = Slam(config, submit=loops.submit)
             intake = Intake(recorder)
             for received in self.received():
                 while recorder.status().queued > _QUEUE:

@@ -24,7 +24,7 @@ from slam.logs.trajectory import Trajectory
 from slam.evaluation.metrics import Association, absolute_errors, align
 from slam.mapping.config import SlamConfig
 from slam.mapping.scan_localiser import ScanLocaliser
-from slam.mapping.scan_priors import expect
+from slam.mapping.scan_priors import predict_poses
 from slam.mapping.slam import Slam
 
 WORLDS = ("testbed", "plain-corridor", "office", "clutter", "mixed")
@@ -90,8 +90,8 @@ def _with(config: KeyframeConfig, **changes: object) -> KeyframeConfig:
 class _Misled(Slam):
     """Foresees with each beam's line given to another beam: the counter-test of `information`."""
 
-    def _foreseen_from(self) -> PreparedScan:
-        scan = super()._foreseen_from()
+    def _predicted_from(self) -> PreparedScan:
+        scan = super()._predicted_from()
         return permuted(scan, np.random.default_rng(len(self.keyframes)))
 
 
@@ -167,11 +167,11 @@ def trajectory_of(
     keyframes = np.array([k.scan_index for k in slam.keyframes])
     poses, stamps = slam.graph.poses.copy(), slam.scans.stamps_ns
     rows = np.arange(0, len(slam.scans), every)
-    expected = expect(slam.scans.odom_poses, keyframes, poses, ())
+    expected = predict_poses(slam.scans.odom_poses, keyframes, poses, ())
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
     found = np.empty((len(rows), 3))
     for k, row in enumerate(rows.tolist()):
-        scan = prepare(scans[int(stamps[row])], slam.mount, slam.config.scan)
+        scan = prepare(scans[int(stamps[row])], slam.extrinsics, slam.config.scan)
         pose = localiser.locate(
             scan, Pose2(*expected.poses[row]), reach_m=float(expected.reach_m[row])
         )

@@ -31,13 +31,13 @@ def judged(world: str, outcomes: Mapping[Setting, Sequence[Outcome]]) -> list[di
     best = min(constant, key=lambda s: float(np.mean(logs[s])))
     tied = [s for s in constant if ratio(logs[s], logs[best])[1][0] <= 1.0]
     longest = max(tied, key=lambda s: s.keyframes.interval)
-    verdicts = []
+    closure_results = []
     for setting in outcomes:
         if setting.method not in JUDGED:
             continue
         error, interval = ratio(logs[setting], logs[best])
         against_longest = ratio(logs[setting], logs[longest])
-        verdicts.append(
+        closure_results.append(
             {
                 "world": world,
                 "method": setting.method,
@@ -54,7 +54,7 @@ def judged(world: str, outcomes: Mapping[Setting, Sequence[Outcome]]) -> list[di
                 "longest_tied_matches_ratio": matches[setting] / matches[longest],
             }
         )
-    return verdicts
+    return closure_results
 
 
 def ratio(own: Array, other: Array) -> tuple[float, list[float]]:

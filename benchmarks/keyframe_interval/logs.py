@@ -90,7 +90,7 @@ def surveyed(choice: dict[str, Any], path: Path) -> dict[str, Any]:
     return {
         "keyframes": len(result.slam.keyframes),
         "matches": result.slam.matches,
-        "closures": sum(verdict.accepted for verdict in result.slam.loops.verdicts),
+        "closures": sum(verdict.accepted for verdict in result.slam.loops.closure_results),
         "trans_mean_m": float(errors.trans_m.mean()),
         "trans_std_m": float(errors.trans_m.std()),
         "rot_mean_deg": float(errors.rot_deg.mean()),
@@ -143,7 +143,7 @@ def loop_residual(slam: Slam) -> tuple[float | None, float | None, int]:
         guess = slam.graph.pose(nearest).between(slam.graph.pose(new))
         reference = Reference(Pose2(), slam.keyframes[nearest].prepared)
         found = match([reference], slam.keyframes[new].prepared, guess, slam.config.matcher)
-        if found.converged and found.quality >= slam.config.matcher.good_quality:
+        if found.converged and found.inlier_fraction >= slam.config.matcher.good_inlier_fraction:
             rest = guess.between(found.target_T_source)
             rests.append((float(np.hypot(rest.x(), rest.y())), abs(np.degrees(rest.theta()))))
     if not rests:
@@ -160,7 +160,7 @@ def map_cells(
     stamps = slam.scans.stamps_ns
     cells: set[tuple[int, int]] = set()
     for row, pose in zip(rows.tolist(), poses, strict=True):
-        scan = prepare(scans[int(stamps[row])], slam.mount, slam.config.scan)
+        scan = prepare(scans[int(stamps[row])], slam.extrinsics, slam.config.scan)
         points = scan.points[(scan.flags & VALID) > 0]
         placed = Pose2(*pose).transformFrom(np.asfortranarray(points.T))
         cells.update(map(tuple, np.floor(placed / CELL_M).astype(np.int64).T.tolist()))

@@ -67,10 +67,10 @@ def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0)
         for world, by_setting in outcomes.items()
         for setting, found in by_setting.items()
     ]
-    verdicts = [v for world in outcomes for v in judged(world, outcomes[world])]
+    closure_results = [v for world in outcomes for v in judged(world, outcomes[world])]
     draw_pareto(rows, out / "pareto.png")
     say(f"figure: {out / 'pareto.png'}")
-    _show(verdicts)
+    _show(closure_results)
     counter = counter_test(outcomes)
     _show_counter(counter)
     logs = [] if quick else bench_logs(data, KeptRuns(out / KEPT_LOGS), say)
@@ -78,7 +78,7 @@ def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0)
         "seeds": seeds,
         "first_seed": FIRST_SEED,
         "longest_m": LONGEST_M,
-        "against_best_constant": verdicts,
+        "against_best_constant": closure_results,
         "counter_test": counter,
     }
     return {"meta": meta, "rows": rows, "logs": logs}
@@ -157,12 +157,12 @@ def _show_counter(rows: Sequence[dict[str, Any]]) -> None:
     Console().print(table)
 
 
-def _show(verdicts: Sequence[dict[str, Any]]) -> None:
+def _show(closure_results: Sequence[dict[str, Any]]) -> None:
     table = Table(title="against constant intervals chosen in hindsight: error, matches")
     for heading in ("world", "method", "best", "error", "95 %", "other seeds", "matches",
                     "longest tied", "error", "matches"):  # fmt: skip
         table.add_column(heading)
-    for v in verdicts:
+    for v in closure_results:
         low, high = v["error_ratio_ci95"]
         table.add_row(
             v["world"], v["method"], v["best_constant"], f"{v['error_ratio']:.2f}",

@@ -12,11 +12,11 @@ from slam.drivers.simulators.robot import drive
 from slam.drivers.simulators.worlds import scenario
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.importers.carmen import read_carmen
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 from slam.evaluation.relations import MATCH_TOLERANCE_S, nearest_rows, read_relations
 
-CENTRED = LaserMount(0, 0.0, 0.0, 0.0)
+CENTRED = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 BEAMS = {  # beams: (first bearing, step) in degrees, of the lasers that the paper and we know
     181: (-90.0, 1.0),
     361: (-90.0, 0.5),
@@ -77,7 +77,7 @@ def real_pairs(folder: Path, name: str, count: int, seed: int) -> list[Pair]:
     """Scans of a public log that a near relation joins, drawn at random."""
     messages = read_carmen(folder / f"{name}.clf.gz").messages
     relations = read_relations(folder / f"{name}.relations")
-    mount = next((m for m in messages if isinstance(m, LaserMount)), CENTRED)
+    extrinsics = next((m for m in messages if isinstance(m, LaserExtrinsics)), CENTRED)
     scans = [m for m in messages if isinstance(m, LaserScan)]
     stamps = np.array([scan.stamp_ns for scan in scans])
     first, first_found = nearest_rows(stamps, relations.first_ns, MATCH_TOLERANCE_S)
@@ -87,20 +87,24 @@ def real_pairs(folder: Path, name: str, count: int, seed: int) -> list[Pair]:
     usable = np.flatnonzero(first_found & second_found & near & (first != second))
     rng = np.random.default_rng((seed, len(scans)))
     return [
-        _pair(scans[first[k]], scans[second[k]], mount, Pose2(x[k], y[k], turn[k]), rng)
+        _pair(scans[first[k]], scans[second[k]], extrinsics, Pose2(x[k], y[k], turn[k]), rng)
         for k in rng.permutation(usable)[:count]
     ]
 
 
 def _pair(
-    first: LaserScan, second: LaserScan, mount: LaserMount, moved: Pose2, rng: np.random.Generator
+    first: LaserScan,
+    second: LaserScan,
+    extrinsics: LaserExtrinsics,
+    moved: Pose2,
+    rng: np.random.Generator,
 ) -> Pair:
     config = ScanConfig()
     far = astray(rng, rng.uniform(0.0, 0.5), np.radians(rng.uniform(-20.0, 20.0)))
     return Pair(
         raw=(first, second),
-        target=prepare(first, mount, config),
-        source=prepare(second, mount, config),
+        target=prepare(first, extrinsics, config),
+        source=prepare(second, extrinsics, config),
         target_T_source=moved,
         guess=moved * astray(rng, rng.uniform(0.0, 0.3), np.radians(rng.uniform(-10.0, 10.0))),
         far_guess=moved * far,

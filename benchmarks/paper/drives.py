@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from slam.drivers.simulators.drive import PAPER_LENGTHS_M, PAPER_SCANS, paper_drive
 from slam.drivers.simulators.laser import LASERS, LaserConfig
 from slam.drivers.simulators.paper_bed import BedConfig
-from slam.frontend.information import Outlook
+from slam.frontend.information import PredictionModel
 from slam.frontend.keyframes import KeyframeConfig, interval_after, interval_ahead
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
 from slam.mapping.odometry import OdometryConfig
 
@@ -37,7 +37,7 @@ PAPER_SECONDS = (26.0, 3.7, 1.8, 1.0, 0.8, 0.7)
 PAPER_COUNTS = (462, 93, 47, 31, 24, 23)  # scans
 
 LASER = LASERS["hokuyo-181"]
-MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,12 +121,12 @@ def information(drive: Drive, with_odometry: bool) -> Length:
             return np.eye(3)
         return wheels.covariance(metres, radians, metres / speed)
 
-    outlook = Outlook(
+    model = PredictionModel(
         odometry, 1, matcher.range_noise, matcher.lasting, ScanConfig().gap_ratio,
-        config.slack_open,
+        config.tolerance_open,
     )  # fmt: skip
     ahead = Pose2(1.0, 0.0, 0.0)
-    return lambda scan: interval_ahead(scan, ahead, outlook, config).length
+    return lambda scan: interval_ahead(scan, ahead, model, config).length
 
 
 def matched(drive: Drive, config: MatchConfig, with_odometry: bool) -> Step:

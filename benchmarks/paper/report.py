@@ -187,7 +187,7 @@ def _verdicts(compared: Rows) -> list[str]:
               "best constant: cm (scans)", "minus best", "control, cm", "minus control", "walls"),
         _line(*["---"] * 10),
     ]  # fmt: skip
-    lines += [_verdict(case) for case in compared]
+    lines += [_conclude(case) for case in compared]
     for kind in ("sdp-pe", "sdp-pe-shipped"):
         cases = [case for case in compared if case["interval"] == kind]
         held = sum(_holds(case) for case in cases)
@@ -212,7 +212,7 @@ def _effect(case: Mapping[str, Any]) -> str:
     return "helped" if high < 0.0 else "harmed" if low > 0.0 else "no difference"
 
 
-def _verdict(case: Mapping[str, Any]) -> str:
+def _conclude(case: Mapping[str, Any]) -> str:
     best = f"{case['best_constant']}: {case['best_constant_cm']:.1f}"
     return _line(
         case["matcher"],

@@ -27,7 +27,7 @@ from slam.frontend.keyframes import KeyframeConfig
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
 from slam.mapping.odometry import OdometryConfig
 
@@ -116,7 +116,7 @@ def bench_weights(quick: bool, say: Say) -> dict[str, Any]:
 def sampled(world: str, seed: int) -> Samples:
     """Matches from keyframes all along one drive; where the robot turns there is no choice."""
     messages = list(simulate(scenario(world, seed), seed=seed))
-    mount = next(m for m in messages if isinstance(m, LaserMount))
+    extrinsics = next(m for m in messages if isinstance(m, LaserExtrinsics))
     scans = [m for m in messages if isinstance(m, LaserScan)]
     truth = _poses(m for m in messages if isinstance(m, TruePose))
     wheels = _poses(m for m in messages if isinstance(m, WheelOdometry))
@@ -131,12 +131,12 @@ def sampled(world: str, seed: int) -> Samples:
         later = [int(np.searchsorted(path, path[i] + d)) for d in DISTANCES_M]
         if any(abs(at[i].between(at[j]).theta()) > KeyframeConfig().max_turn for j in later):
             continue
-        key = prepare(scans[i], mount, ScanConfig())
+        key = prepare(scans[i], extrinsics, ScanConfig())
         seconds = [1e-9 * (scans[j].stamp_ns - scans[i].stamp_ns) for j in later]
         errors.append(
             [
-                _square_error(key, prepare(scans[j], mount, ScanConfig()), at[i].between(at[j]),
-                              moved[i].between(moved[j]), s)
+                _square_error(key, prepare(scans[j], extrinsics, ScanConfig()),
+                              at[i].between(at[j]), moved[i].between(moved[j]), s)
                 for j, s in zip(later, seconds, strict=True)
             ]
         )  # fmt: skip

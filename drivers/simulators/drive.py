@@ -24,7 +24,7 @@ from slam.drivers.simulators.robot import (
 )
 from slam.drivers.simulators.world import World
 from slam.drivers.simulators.worlds import Scenario
-from slam.logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, SensorMessage, TruePose, WheelOdometry
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -73,7 +73,7 @@ def simulate(
         odometry_times = np.concatenate([odometry_times, scan_times])
     wheels = _odometry(odometry, np.unique(_stamps(odometry_times)), noise)
     scans = _scans(scenario.world, truth, base_T_laser, laser, scan_times, seed)
-    yield LaserMount(EPOCH_NS, base_T_laser.x(), base_T_laser.y(), base_T_laser.theta())
+    yield LaserExtrinsics(EPOCH_NS, base_T_laser.x(), base_T_laser.y(), base_T_laser.theta())
     yield from _interleaved(wheels, scans)
 
 
@@ -99,7 +99,7 @@ def paper_drive(
     truth = track_of((0.0, 0.0, 0.0), steps, 1.0 / laser.rate_hz)
     times = np.arange(PAPER_SCANS) / laser.rate_hz
     wheels = _odometry(dead_reckoning(truth, noise, seed), _stamps(times), noise)
-    yield LaserMount(EPOCH_NS, 0.0, 0.0, 0.0)
+    yield LaserExtrinsics(EPOCH_NS, 0.0, 0.0, 0.0)
     yield from _interleaved(wheels, _scans(world, truth, Pose2(), laser, times, seed))
 
 

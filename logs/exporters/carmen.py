@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from slam.logs.errors import LogError
 from slam.logs.importers.carmen_lines import DECLARED_SHARE, NS, SENTINEL_M
-from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 from slam.logs.partial import PartialFile
 
 _NOTHING_M = 81.91
@@ -55,22 +55,22 @@ def carmen_lines(messages: Iterable[Message]) -> Iterator[str]:
     A scan takes the pose of the odometry message last seen (zero before the first).
     """
     yield "# CARMEN log; angles in rad, lengths in m, times in s"
-    mount: _Pose = (0.0, 0.0, 0.0)
+    extrinsics: _Pose = (0.0, 0.0, 0.0)
     robot: _Pose = (0.0, 0.0, 0.0)
     for message in messages:
-        if isinstance(message, LaserMount):
-            mount = (message.x, message.y, message.theta)
-            yield from _mount_lines(mount)
+        if isinstance(message, LaserExtrinsics):
+            extrinsics = (message.x, message.y, message.theta)
+            yield from _mount_lines(extrinsics)
         elif isinstance(message, WheelOdometry):
             robot = (message.x, message.y, message.theta)
             yield f"ODOM {_numbers(robot)} 0 0 0 {_ending(message.stamp_ns)}"
         elif isinstance(message, LaserScan):
-            yield _scan_line(message, _compose(robot, mount), robot)
+            yield _scan_line(message, _compose(robot, extrinsics), robot)
 
 
-def _mount_lines(mount: _Pose) -> Iterator[str]:
+def _mount_lines(extrinsics: _Pose) -> Iterator[str]:
     names = ("offset", "side_offset", "angular_offset")
-    for name, value in zip(names, mount, strict=True):
+    for name, value in zip(names, extrinsics, strict=True):
         yield f"PARAM robot_frontlaser_{name} {value!r} nohost 0"
 
 

@@ -30,7 +30,7 @@ from slam.logs.errors import LogError
 from slam.logs.exporters import ros2_messages as ros
 from slam.logs.messages import (
     DeviceHealth,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
     Message,
@@ -138,8 +138,8 @@ class _Bag:
             self._write("/tf", receipt, step)
         elif isinstance(message, TruePose):
             self._write("/truth", receipt, ros.odometry(types, message))
-        elif isinstance(message, LaserMount):
-            self._write("/tf_static", receipt, ros.mount(types, message))
+        elif isinstance(message, LaserExtrinsics):
+            self._write("/tf_static", receipt, ros.extrinsics(types, message))
         elif isinstance(message, PoseEstimate):
             self._take_estimate(receipt, message)
         elif isinstance(message, OccupancyMap):

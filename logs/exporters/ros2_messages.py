@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from slam.logs.messages import (
     DeviceHealth,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
     OccupancyMap,
@@ -132,7 +132,7 @@ def transform(types: Types, stamp_ns: int, parent: str, child: str, at: Pose) ->
     return types["tf2_msgs/msg/TFMessage"](transforms=[stamped])
 
 
-def mount(types: Types, message: LaserMount) -> Any:
+def extrinsics(types: Types, message: LaserExtrinsics) -> Any:
     """Return the static transform of the laser."""
     at = (message.x, message.y, message.theta)
     return transform(types, message.stamp_ns, "base_link", "laser", at)

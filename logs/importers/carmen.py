@@ -81,7 +81,7 @@ class _Parser:
     odometry: list[Reading] = field(default_factory=list)
     readings: list[Reading] = field(default_factory=list)
     reach: Reach = field(default_factory=Reach)
-    mount: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    extrinsics: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     skipped: Counter[str] = field(default_factory=Counter)
     changed: Counter[str] = field(default_factory=Counter)
     ignored: Counter[str] = field(default_factory=Counter)
@@ -131,7 +131,7 @@ class _Parser:
         if not math.isfinite(value):
             raise LineError("value is not a number")
         if name in _MOUNT_PARAMS:
-            self.mount[_MOUNT_PARAMS[name]] = value
+            self.extrinsics[_MOUNT_PARAMS[name]] = value
         elif value > 0:
             self.reach.declared = value
 
@@ -140,11 +140,11 @@ class _Parser:
         measured = _rigid_mount(self.laser_lines)
         if measured is None:
             self.changed["laser poses that are not rigid to the robot's, not used"] += 1
-        mount: _Pose = (self.mount[0], self.mount[1], self.mount[2])
-        if measured is not None and any(measured) and not _near(measured, mount):
-            mount = measured
+        extrinsics: _Pose = (self.extrinsics[0], self.extrinsics[1], self.extrinsics[2])
+        if measured is not None and any(measured) and not _near(measured, extrinsics):
+            extrinsics = measured
         readings = in_stamp_order(self.readings, self.changed)
-        messages = as_messages(readings, mount)
+        messages = as_messages(readings, extrinsics)
         return ImportedLog("CARMEN", messages, self.skipped, self.changed, self.ignored)
 
 

@@ -22,7 +22,7 @@ from slam.logs.importers import carmen_lines
 from slam.logs.importers.carmen_lines import LineError, Reach
 from slam.logs.importers.imported import ImportedLog
 from slam.logs.importers.text_lines import LINE_LIMIT, lines
-from slam.logs.messages import LaserMount, LaserScan, SensorMessage, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, SensorMessage, TruePose, WheelOdometry
 
 ZIP_MAGIC = b"PK\x03\x04"
 KINDS = {b"VERTEX_SE2", b"EDGE_SE2"}
@@ -128,7 +128,7 @@ def _is_graph(name: str) -> bool:
 
 def _messages(graph: _Graph) -> Iterator[SensorMessage]:
     order = _in_time(graph)
-    yield LaserMount(graph.scans[order[0]].stamp_ns, 0.0, 0.0, 0.0)
+    yield LaserExtrinsics(graph.scans[order[0]].stamp_ns, 0.0, 0.0, 0.0)
     odometry = _chained(graph)
     for number in order:
         scan = graph.scans[number]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from slam.logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, SensorMessage, WheelOdometry
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,7 +74,7 @@ def as_messages(
     """Return the mount, then each reading's odometry and scan."""
     if not readings:
         return []
-    messages: list[SensorMessage] = [LaserMount(readings[0].odometry.stamp_ns, *base_T_laser)]
+    messages: list[SensorMessage] = [LaserExtrinsics(readings[0].odometry.stamp_ns, *base_T_laser)]
     for reading in readings:
         messages.append(reading.odometry)
         if reading.scan is not None:

@@ -41,7 +41,7 @@ class FrameTree:
         if matrix is not None and len(self._edges) < _FRAMES_LIMIT:
             self._edges.setdefault((parent, child), matrix)
 
-    def mount(self, laser: str, base: str = "") -> Mount | None:
+    def extrinsics(self, laser: str, base: str = "") -> Mount | None:
         """Return where the laser's frame sits, None if no path leads to it."""
         laser = plain(laser)
         for name in (base,) if base else BASE_FRAMES:

@@ -31,7 +31,7 @@ from slam.logs.errors import LogError, shown
 from slam.logs.importers.imported import StreamedLog
 from slam.logs.importers.ros_frames import TILT_RAD, FrameTree, Mount, plain, yaw_of
 from slam.logs.importers.ros_messages import mirrored, scan_of, stamp_of
-from slam.logs.messages import LaserMount, LaserScan, SensorMessage, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, SensorMessage, WheelOdometry
 from slam.logs.schemas import STAMP_LIMIT
 
 _SCAN = "sensor_msgs/msg/LaserScan"
@@ -60,11 +60,11 @@ def read_rosbag(
         survey.note(receipt_ns, message)
     if not survey.scans:
         raise LogError(f"{path}: {_nothing_found(survey, scan_topic)}")
-    mount = survey.mount(base_frame)
+    extrinsics = survey.extrinsics(base_frame)
     order = survey.order()
 
     def read() -> Iterator[tuple[SensorMessage, int]]:
-        return _placed(bag.readings(_Survey()), order, mount)
+        return _placed(bag.readings(_Survey()), order, extrinsics)
 
     return StreamedLog("ROS bag", read, survey.skipped, survey.changed, survey.ignored)
 
@@ -113,7 +113,7 @@ def _nothing_found(survey: _Survey, asked: str) -> str:
 
 
 def _placed(
-    readings: Iterator[tuple[int, _Stamped]], ranks: NDArray[np.int64], mount: Mount
+    readings: Iterator[tuple[int, _Stamped]], ranks: NDArray[np.int64], extrinsics: Mount
 ) -> Iterator[tuple[SensorMessage, int]]:
     """Yield the mount, then the readings by rank; only those that came too early are held."""
     waiting: list[tuple[int, int, _Stamped]] = []  # a heap: rank, time of receipt, message
@@ -123,8 +123,11 @@ def _placed(
         while waiting and waiting[0][0] == emitted:
             _, receipt, ready = heapq.heappop(waiting)
             if emitted == 0:
-                yield LaserMount(ready.stamp_ns, mount.x, mount.y, mount.theta), receipt
-            if isinstance(ready, LaserScan) and mount.upside_down:
+                yield (
+                    LaserExtrinsics(ready.stamp_ns, extrinsics.x, extrinsics.y, extrinsics.theta),
+                    receipt,
+                )
+            if isinstance(ready, LaserScan) and extrinsics.upside_down:
                 ready = mirrored(ready)
             yield ready, receipt
             emitted += 1
@@ -150,17 +153,17 @@ class _Survey:
         self._stamps.append(message.stamp_ns)
         self._is_scan.append(is_scan)
 
-    def mount(self, base_frame: str) -> Mount:
+    def extrinsics(self, base_frame: str) -> Mount:
         """Where the laser sits, by the bag's transforms."""
-        mount = self.frames.mount(self.laser, base_frame)
-        if mount is None:
-            mount = Mount(0.0, 0.0, 0.0, False, 0.0)
+        extrinsics = self.frames.extrinsics(self.laser, base_frame)
+        if extrinsics is None:
+            extrinsics = Mount(0.0, 0.0, 0.0, False, 0.0)
             self.changed["no transform from the base to the laser, taken to be none"] += 1
-        if mount.tilt > TILT_RAD:
+        if extrinsics.tilt > TILT_RAD:
             self.changed["the laser is tilted, its scans are taken as level"] += 1
         if self.scans == len(self._stamps):
             self.changed["no odometry in the bag"] += 1
-        return mount
+        return extrinsics
 
     def order(self) -> NDArray[np.int64]:
         """The place of each reading, (n,), by stamp, odometry before a scan; oddities counted."""

@@ -91,22 +91,22 @@ def replay(
     """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.cli.progress import stage_progress
     from slam.runs.config_file import load_config
-    from slam.runs.process_pool import worthwhile
+    from slam.runs.process_pool import worker_count
     from slam.runs.replay import replay as run_replay
-    from slam.runs.resume import read_past
+    from slam.runs.resume import read_prior_map
     from slam.viewer.viewers import ViewOptions, watched
 
     if start and resume is None:
         raise typer.BadParameter("--start says where in the map of --resume RUN the log starts")
     settings = load_config(config, set_ or [])
-    past = read_past(resume, settings, start) if resume else None
+    prior_map = read_prior_map(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
-    processes = processes or worthwhile()
+    processes = processes or worker_count()
     if view or foxglove:
         processes = 1  # threads serve the page: such a process must not be copied
     with watched(options, say) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
-        summary = run_replay(log, out, settings, progress, raw, rate, viewers, past, processes)
+        summary = run_replay(log, out, settings, progress, raw, rate, viewers, prior_map, processes)
     _tell_summary(out, summary)
     exit_on_loss(summary["lost"], "lost")
 

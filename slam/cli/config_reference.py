@@ -1,4 +1,4 @@
-"""`python -m slam.config_reference`: the page that lists every setting, from the models."""
+"""`python -m slam.cli.config_reference`: the page that lists every setting, from the models."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.mapping.config import SlamConfig
 HEAD = """# Configuration
 
 Every setting, its default and its limits. This page is made by
-`python -m slam.config_reference > docs/configuration.md`; change the models, not the page.
+`python -m slam.cli.config_reference > docs/configuration.md`; change the models, not the page.
 
 A configuration is a TOML file for `--config`; a single value can be given on the command line
 with `--set section.key=value`, which wins over the file. Whatever is not named keeps its default.

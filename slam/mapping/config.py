@@ -13,8 +13,8 @@ from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import ScanConfig
 from slam.mapping.loop_closing import LoopConfig
 from slam.mapping.odometry import OdometryConfig
-from slam.mapping.pruning import ThinningConfig
-from slam.mapping.registration import TrackingConfig
+from slam.mapping.pruning import PruningConfig
+from slam.mapping.registration import RegistrationConfig
 from slam.mapping.scan_localiser import LocaliseConfig
 from slam.maps.occupancy import MapConfig
 
@@ -28,10 +28,10 @@ class SlamConfig(BaseModel):
     keyframes: KeyframeConfig = KeyframeConfig()
     matcher: MatchConfig = MatchConfig()
     odometry: OdometryConfig = OdometryConfig()
-    tracking: TrackingConfig = TrackingConfig()
+    registration: RegistrationConfig = RegistrationConfig()
     loops: LoopConfig = LoopConfig()
     graph: GraphConfig = GraphConfig()
-    thinning: ThinningConfig = ThinningConfig()
+    pruning: PruningConfig = PruningConfig()
     localise: LocaliseConfig = LocaliseConfig()
     map: MapConfig = MapConfig()
     lost_inflation: float = Field(

@@ -11,9 +11,9 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
-Preparer = Callable[[LaserScan, LaserMount], PreparedScan]
+Preparer = Callable[[LaserScan, LaserExtrinsics], PreparedScan]
 REMEMBERED = 512  # prepared scans; the robot's surroundings and a few old places
 
 
@@ -33,7 +33,7 @@ class Keyframe:
     index: int
     scan_index: int  # position among the scans of the log
     scan: LaserScan
-    mount: LaserMount  # base_T_laser when it was taken
+    extrinsics: LaserExtrinsics  # base_T_laser when it was taken
     prepare: Preparer
     centre: NDArray[np.float64]  # (2,) m, what the scan looks at, in the base frame
     odom_T_base: Pose2
@@ -43,7 +43,7 @@ class Keyframe:
     @property
     def prepared(self) -> PreparedScan:
         """The scan ready for matching."""
-        return self.prepare(self.scan, self.mount)
+        return self.prepare(self.scan, self.extrinsics)
 
 
 def view_centres(keyframes: Sequence[Keyframe], poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,29 +15,29 @@ from slam.frontend.match_types import Prior, Reference
 from slam.frontend.scan import PreparedScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe
-from slam.mapping.odometry_faults import LieDetector, OdometryLie, Step
-from slam.mapping.registration import Tracked, starts_in_doubt, track
-from slam.mapping.scan_sync import HONEST, Sighting, Stretch
+from slam.mapping.odometry_faults import FaultDetector, OdometryFault, Step
+from slam.mapping.registration import Registration, register, starts_in_doubt
+from slam.mapping.scan_sync import ZERO_BIAS, OdometryIncrement, StampedScan
 
 SURE = 0.7  # share of beams that fit a match which convicts the wheels beyond its own step
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Link:
+class KeyframeEdges:
     """What ties a keyframe to the one before."""
 
     step: Pose2  # last_T_new by the match, or by the wheels where it is not trusted
     edges: list[tuple[Edge, bool]]  # of odometry and match, and whether each is used
     note: str  # what was refused, and why
-    lie: OdometryLie | None  # that this keyframe makes evident
+    fault: OdometryFault | None  # that this keyframe makes evident
 
 
-class Linker:
+class KeyframeEdgeBuilder:
     """Tracks keyframes one after the other and remembers what went wrong on the way."""
 
     def __init__(self, config: SlamConfig) -> None:
         self._config = config
-        self._lies = LieDetector(config.odometry, config.tracking.false_alarm)
+        self._faults = FaultDetector(config.odometry, config.registration.false_alarm)
         self._unbroken = 0  # keyframes from here on are tied together by matches
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
 
@@ -49,33 +49,33 @@ class Linker:
         """Keyframes have gone."""
         self._unbroken = index(self._unbroken)
 
-    def track(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, stretch: Stretch,
-        prepared: PreparedScan, between: Sequence[Sighting],
-    ) -> Tracked:  # fmt: skip
+    def register(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, increment: OdometryIncrement,
+        prepared: PreparedScan, between: Sequence[StampedScan],
+    ) -> Registration:  # fmt: skip
         """Match a scan that may become a keyframe against the last ones.
 
         Args:
             keyframes: all so far.
             graph: that holds their poses.
-            stretch: from the last keyframe to this scan.
+            increment: from the last keyframe to this scan.
             prepared: the scan.
             between: scans taken since the last keyframe.
         """
         base = graph.pose(keyframes[-1].index)
-        first = max(self._unbroken, len(keyframes) - self._config.tracking.references)
+        first = max(self._unbroken, len(keyframes) - self._config.registration.references)
         references = [
             Reference(base.between(graph.pose(k.index)), k.prepared) for k in keyframes[first:]
         ]
         limits = self._config.odometry
         plausible = all(
             step.speed <= limits.max_speed and step.turn_rate <= limits.max_turn_rate
-            for step in (*between, stretch.last)
+            for step in (*between, increment.last)
         )
-        return track(
-            references, prepared, Prior(stretch.moved, self._odometry_covariance(stretch)),
-            starts_in_doubt(stretch.moved, stretch.seconds, self._last_step), plausible,
-            self._goes_on(stretch.moved), self._config.tracking, self._config.matcher,
+        return register(
+            references, prepared, Prior(increment.moved, self._odometry_covariance(increment)),
+            starts_in_doubt(increment.moved, increment.seconds, self._last_step), plausible,
+            self._goes_on(increment.moved), self._config.registration, self._config.matcher,
         )  # fmt: skip
 
     def _goes_on(self, moved: Pose2) -> bool:
@@ -83,59 +83,67 @@ class Linker:
         last = self._last_step
         return last is not None and last[0].x() * moved.x() + last[0].y() * moved.y() > 0.0
 
-    def link(self, stretch: Stretch, tracked: Tracked, new: int) -> Link:
+    def link(
+        self, increment: OdometryIncrement, registration: Registration, new: int
+    ) -> KeyframeEdges:
         """Factors of odometry and match to keyframe `new`; what is refused is told, not used."""
-        information = np.asarray(np.linalg.inv(self._odometry_covariance(stretch)), np.float64)
-        note = tracked.note
-        blind = tracked.result.weak_axis is not None  # the match alone would tie nothing there
-        if not (tracked.match_trusted and tracked.odometry_trusted):
+        information = np.asarray(np.linalg.inv(self._odometry_covariance(increment)), np.float64)
+        note = registration.note
+        blind = (
+            registration.result.degenerate_direction is not None
+        )  # the match alone would tie nothing there
+        if not (registration.match_trusted and registration.odometry_trusted):
             # Nothing vouches for the odometry, or something speaks against it: it says little.
             information = information / self._config.lost_inflation**2
-            note = f"lost: {note}" if tracked.lost else note
+            note = f"lost: {note}" if registration.lost else note
         # A part of a refuted stretch needs no odometry, as long as its own match holds it.
-        suspected = stretch.suspected != HONEST and tracked.match_trusted and not blind
-        if suspected and tracked.odometry_trusted:
+        bias = increment.bias != ZERO_BIAS and registration.match_trusted and not blind
+        if bias and registration.odometry_trusted:
             note = "odometry refused: as part of a longer stretch"
-        if lie := self._lie(stretch, tracked):
-            note = f"{lie}; {note}" if note else lie
-        odometry = Edge("odometry", new - 1, new, stretch.moved, information)
-        result = tracked.result
+        if fault := self._fault(increment, registration):
+            note = f"{fault}; {note}" if note else fault
+        odometry = Edge("odometry", new - 1, new, increment.moved, information)
+        result = registration.result
         matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
-        if not tracked.match_trusted:
+        if not registration.match_trusted:
             self._unbroken = new
-        step = result.target_T_source if tracked.match_trusted else stretch.moved
-        self._last_step = (step, stretch.seconds)
+        step = result.target_T_source if registration.match_trusted else increment.moved
+        self._last_step = (step, increment.seconds)
         edges = [
-            (odometry, (tracked.odometry_trusted and not suspected) or tracked.lost or blind),
-            (matched, tracked.match_trusted),
+            (odometry, (registration.odometry_trusted and not bias) or registration.lost or blind),
+            (matched, registration.match_trusted),
         ]
-        return Link(step, edges, note, lie)
+        return KeyframeEdges(step, edges, note, fault)
 
-    def suspicion(self, stretch: Stretch, tracked: Tracked) -> tuple[float, float]:
+    def suspected_bias(
+        self, increment: OdometryIncrement, registration: Registration
+    ) -> tuple[float, float]:
         """By how much (m/s, rad/s) the odometry may lie within a stretch that is to be halved.
 
         Where a good match of the whole refutes it, a lie of that size is spread over its parts. In
         each of them it may be too small to be noticed, and would still pull the match along.
         """
-        sure = tracked.match_trusted and tracked.result.quality >= SURE
-        if tracked.odometry_trusted or not sure:
-            return stretch.suspected
-        error = stretch.moved.between(tracked.result.target_T_source)
+        sure = registration.match_trusted and registration.result.inlier_fraction >= SURE
+        if registration.odometry_trusted or not sure:
+            return increment.bias
+        error = increment.moved.between(registration.result.target_T_source)
         way, turn = float(np.hypot(error.x(), error.y())), abs(error.theta())
-        known = stretch.suspected
-        return max(known[0], way / stretch.seconds), max(known[1], turn / stretch.seconds)
+        known = increment.bias
+        return max(known[0], way / increment.seconds), max(known[1], turn / increment.seconds)
 
-    def _odometry_covariance(self, stretch: Stretch) -> NDArray[np.float64]:
-        way, turn = stretch.suspected
+    def _odometry_covariance(self, increment: OdometryIncrement) -> NDArray[np.float64]:
+        way, turn = increment.bias
         covariance = self._config.odometry.covariance(
-            stretch.path_m, stretch.path_rad, stretch.seconds
+            increment.path_m, increment.path_rad, increment.seconds
         )
-        return covariance + np.diag(np.array([way, way, turn]) * stretch.seconds) ** 2
+        return covariance + np.diag(np.array([way, way, turn]) * increment.seconds) ** 2
 
-    def _lie(self, stretch: Stretch, tracked: Tracked) -> OdometryLie | None:
+    def _fault(
+        self, increment: OdometryIncrement, registration: Registration
+    ) -> OdometryFault | None:
         """What the odometry is caught at by this keyframe, if anything."""
-        if not tracked.match_trusted:
-            self._lies.forget()
+        if not registration.match_trusted:
+            self._faults.forget()
             return None
-        step = Step.of(stretch.moved, tracked.result, stretch.seconds)
-        return self._lies.watch(step, not tracked.odometry_trusted)
+        step = Step.of(increment.moved, registration.result, increment.seconds)
+        return self._faults.watch(step, not registration.odometry_trusted)

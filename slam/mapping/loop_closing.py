@@ -18,9 +18,9 @@ from slam.backend.pruning import Renumbered
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import PreparedScan
-from slam.logs.messages import LoopVerdict
+from slam.logs.messages import LoopResult
 from slam.mapping.keyframe import Keyframe, placed, view_centres
-from slam.mapping.loop_worker import Beside, LoopQuestion, LoopSearcher
+from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
 from slam.mapping.records import pairs_left
 
 
@@ -41,12 +41,12 @@ class LoopConfig(BaseModel):
     target_half: int = Field(
         4, ge=0, description="keyframes either side of the anchor in the target"
     )
-    tight_m: float = Field(0.8, gt=0, description="m, windows below need no second witness")
-    witnesses: int = Field(
+    narrow_prior_m: float = Field(0.8, gt=0, description="m, windows below need no second witness")
+    supporting_closures: int = Field(
         2, ge=1, description="further closures that must agree with one from a wide window"
     )
     pending_m: float = Field(15.0, gt=0, description="m of travel a closure waits for witnesses")
-    least_gain: float = Field(
+    min_gain: float = Field(
         1.0, ge=0, description="a closure that tells the graph less (nats) waits for the end"
     )
     gate: float = Field(
@@ -56,7 +56,7 @@ class LoopConfig(BaseModel):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Candidate:
+class LoopCandidate:
     """A closure that passed the search and waits to be believed."""
 
     edge: Edge
@@ -73,13 +73,13 @@ class LoopCloser:
     `begin` and `close` come in turn: the search may run beside whatever is done in between.
     """
 
-    def __init__(self, config: LoopConfig, matcher: MatchConfig, beside: Beside) -> None:
+    def __init__(self, config: LoopConfig, matcher: MatchConfig, submit: Submit) -> None:
         self.config = config
-        self.verdicts: list[LoopVerdict] = []
-        self._searcher = LoopSearcher(config.search, matcher, beside)
+        self.closure_results: list[LoopResult] = []
+        self._searcher = LoopWorker(config.search, matcher, submit)
         # Refused for the graph as it was then; the whole graph may side with them in the end.
-        self.refuted: list[Candidate] = []
-        self._pending: list[Candidate] = []
+        self.rejected: list[LoopCandidate] = []
+        self._pending: list[LoopCandidate] = []
         self._searched_m = 0.0
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
@@ -94,11 +94,13 @@ class LoopCloser:
         """Keyframes have gone, and with them what was on record of them; counts of that."""
         self._searcher.forget()
         self._looks_at, self._anchors_m = [], []
-        self.refuted = _left(self.refuted, index)
+        self.rejected = _left(self.rejected, index)
         waited = len(self._pending)
         self._pending = _left(self._pending, index)
-        self.verdicts, gone = pairs_left(self.verdicts, index)
-        counts = Counter("accepted" if verdict.accepted else "rejected" for verdict in gone)
+        self.closure_results, gone = pairs_left(self.closure_results, index)
+        counts = Counter(
+            "accepted" if closure_result.accepted else "rejected" for closure_result in gone
+        )
         counts["rejected"] += waited - len(self._pending)  # no verdict will come
         return counts
 
@@ -114,18 +116,18 @@ class LoopCloser:
             return False
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
-        ask = partial(self._questions, keyframes, graph, places)
+        ask = partial(self._place_candidates, keyframes, graph, places)
         self._searcher.begin(ask if places else None)
         return bool(places)
 
-    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[Candidate]:
+    def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[LoopCandidate]:
         """Closures that are now believed, from the search begun last and ones that waited.
 
         Keyframes and graph must be as they were when it was begun.
         """
-        accepted: list[Candidate] = []
-        for question, closure in self._searcher.answers():
-            candidate = self._judge(keyframes, graph, question, closure)
+        accepted: list[LoopCandidate] = []
+        for place, closure in self._searcher.answers():
+            candidate = self._judge(keyframes, graph, place, closure)
             if candidate is not None:
                 accepted += self._admit(candidate, graph, keyframes[-1].travelled_m)
         return accepted
@@ -162,27 +164,27 @@ class LoopCloser:
         base = graph.pose(origin)
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
 
-    def _questions(
+    def _place_candidates(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int]
-    ) -> list[LoopQuestion]:
+    ) -> list[PlaceCandidate]:
         newest, half = keyframes[-1].index, self.config.target_half
         recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
         query = self._submap(keyframes, graph, recent, newest)
-        questions = []
+        places_to_try = []
         for anchor, known in zip(anchors, graph.relatives(anchors, newest), strict=True):
             near = range(max(0, anchor - half), min(newest, anchor + half + 1))
             middle = keyframes[anchor].number
             target = [k for k in near if abs(keyframes[k].number - middle) <= half]
             old = self._submap(keyframes, graph, target, anchor)
-            questions.append(LoopQuestion(anchor, old, query, *known))
-        return questions
+            places_to_try.append(PlaceCandidate(anchor, old, query, *known))
+        return places_to_try
 
     def _judge(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, question: LoopQuestion,
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, place: PlaceCandidate,
         closure: Closure,
-    ) -> Candidate | None:  # fmt: skip
-        newest, anchor = keyframes[-1].index, question.anchor
-        predicted, covariance = question.predicted, question.covariance
+    ) -> LoopCandidate | None:  # fmt: skip
+        newest, anchor = keyframes[-1].index, place.anchor
+        predicted, covariance = place.predicted, place.covariance
         stamp_ns = keyframes[-1].scan.stamp_ns
         result = closure.result
         if closure.reason or result is None:
@@ -196,24 +198,26 @@ class LoopCloser:
         chi_square = float(error @ weight @ error)
         travelled = keyframes[-1].travelled_m
         gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + covariance @ graph.weight(edge))[1])
-        candidate = Candidate(edge, closure, stamp_ns, travelled, chi_square, gain)
+        candidate = LoopCandidate(edge, closure, stamp_ns, travelled, chi_square, gain)
         if chi_square > self._limit:
-            self._verdict(candidate, f"chi-square {chi_square:.1f} against the graph")
-            self.refuted.append(candidate)
+            self._conclude(candidate, f"chi-square {chi_square:.1f} against the graph")
+            self.rejected.append(candidate)
             return None
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-        if 3 * sigma > self.config.tight_m:
-            if result.weak_axis is None:
+        if 3 * sigma > self.config.narrow_prior_m:
+            if result.degenerate_direction is None:
                 return candidate
-            self._verdict(candidate, "it does not tell where along the walls")
+            self._conclude(candidate, "it does not tell where along the walls")
             return None
         self._record(stamp_ns, anchor, newest, closure, "accepted", chi_square)
         self._accepted_now = candidate
         return candidate
 
-    _accepted_now: Candidate | None = None
+    _accepted_now: LoopCandidate | None = None
 
-    def _admit(self, candidate: Candidate, graph: PoseGraph, travelled_m: float) -> list[Candidate]:
+    def _admit(
+        self, candidate: LoopCandidate, graph: PoseGraph, travelled_m: float
+    ) -> list[LoopCandidate]:
         """The closures believed now: a tight one at once, a wide one with its witnesses."""
         if candidate is self._accepted_now:
             self._accepted_now = None
@@ -221,19 +225,19 @@ class LoopCloser:
         kept = []
         for waiting in self._pending:
             if travelled_m - waiting.travelled_m > self.config.pending_m:
-                self._verdict(waiting, "no further closure agreed with it")
+                self._conclude(waiting, "no further closure agreed with it")
             else:
                 kept.append(waiting)
         self._pending = kept
         agreeing = [w for w in kept if self._consistent(w.edge, candidate.edge, graph)]
-        if len(agreeing) < self.config.witnesses:
+        if len(agreeing) < self.config.supporting_closures:
             self._pending.append(candidate)
             return []
         self._pending = [w for w in kept if not any(w is a for a in agreeing)]
-        believed = [*agreeing, candidate]
-        for one in believed:
-            self._verdict(one, "accepted")
-        return believed
+        accepted_edges = [*agreeing, candidate]
+        for one in accepted_edges:
+            self._conclude(one, "accepted")
+        return accepted_edges
 
     def _consistent(self, a: Edge, b: Edge, graph: PoseGraph) -> bool:
         """Pairwise consistency (Mangelson et al. 2018): do both closures tell the same story?"""
@@ -257,10 +261,10 @@ class LoopCloser:
     def finish(self) -> None:
         """Give the closures that still wait their verdict."""
         for waiting in self._pending:
-            self._verdict(waiting, "no further closure agreed with it")
+            self._conclude(waiting, "no further closure agreed with it")
         self._pending = []
 
-    def _verdict(self, candidate: Candidate, reason: str) -> None:
+    def _conclude(self, candidate: LoopCandidate, reason: str) -> None:
         self._record(
             candidate.stamp_ns, candidate.edge.i, candidate.edge.j, candidate.closure, reason,
             candidate.chi_square,
@@ -269,8 +273,8 @@ class LoopCloser:
     def _record(
         self, stamp_ns: int, i: int, j: int, closure: Closure, reason: str, chi_square: float
     ) -> None:
-        self.verdicts.append(
-            LoopVerdict(
+        self.closure_results.append(
+            LoopResult(
                 stamp_ns,
                 i,
                 j,
@@ -283,7 +287,7 @@ class LoopCloser:
         )
 
 
-def _left(candidates: Sequence[Candidate], index: Renumbered) -> list[Candidate]:
+def _left(candidates: Sequence[LoopCandidate], index: Renumbered) -> list[LoopCandidate]:
     """Those between keyframes that stay, under their new indices."""
     return [
         replace(c, edge=index.renamed(c.edge))

@@ -14,12 +14,12 @@ from slam.frontend.loop_search import Closure, LoopSearchConfig, Matrix, close_l
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.scan import PreparedScan
 
-Beside = Callable[..., Future[Any]]  # as `Executor.submit`
+Submit = Callable[..., Future[Any]]  # as `Executor.submit`
 Submap = Sequence[tuple[Pose2, PreparedScan]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LoopQuestion:
+class PlaceCandidate:
     """Is the newest keyframe at this old place?  Nothing in it changes any more."""
 
     anchor: int  # keyframe in the middle of the old place
@@ -29,14 +29,14 @@ class LoopQuestion:
     covariance: Matrix  # (3, 3) of that, in the newest's frame
 
 
-Answer = tuple[LoopQuestion, Closure]
+Answer = tuple[PlaceCandidate, Closure]
 
 
-class LoopSearcher:
+class LoopWorker:
     """Answers one set of questions at a time; its maps of old places are kept for the next one."""
 
-    def __init__(self, config: LoopSearchConfig, matcher: MatchConfig, beside: Beside) -> None:
-        self._config, self._matcher, self._beside = config, matcher, beside
+    def __init__(self, config: LoopSearchConfig, matcher: MatchConfig, submit: Submit) -> None:
+        self._config, self._matcher, self._submit = config, matcher, submit
         self._fields: dict[int, LikelihoodField] = {}  # by anchor; the search's own while it runs
         self._searching: Future[list[Answer]] | None = None
 
@@ -45,13 +45,13 @@ class LoopSearcher:
         """Whether a search is at work; of interest to those who measure, not to the graph."""
         return self._searching is not None and not self._searching.done()
 
-    def begin(self, ask: Callable[[], Sequence[LoopQuestion]] | None) -> None:
+    def begin(self, ask: Callable[[], Sequence[PlaceCandidate]] | None) -> None:
         """Search for the answers, which must be taken before the next begin; None: nothing.
 
         The questions are put by the search itself, for that takes time too: what they are
         made of must not change until then.
         """
-        self._searching = self._beside(self._search, ask) if ask else None
+        self._searching = self._submit(self._search, ask) if ask else None
 
     def answers(self) -> Iterable[Answer]:
         """Each question with its answer, in the order asked; waits for a search that runs."""
@@ -64,23 +64,23 @@ class LoopSearcher:
         """Old places have moved within: make new maps of them."""
         self._fields.clear()
 
-    def _search(self, ask: Callable[[], Sequence[LoopQuestion]]) -> list[Answer]:
+    def _search(self, ask: Callable[[], Sequence[PlaceCandidate]]) -> list[Answer]:
         kept, self._fields = self._fields, {}  # megabytes each: an hour's would not fit
         return [(asked, self._answer(asked, kept)) for asked in ask()]
 
-    def _answer(self, question: LoopQuestion, kept: dict[int, LikelihoodField]) -> Closure:
-        field = kept.get(question.anchor)
+    def _answer(self, place: PlaceCandidate, kept: dict[int, LikelihoodField]) -> Closure:
+        field = kept.get(place.anchor)
         if field is None:
-            field = target_field(question.old, self._config.correlative)
-        self._fields[question.anchor] = field
-        references = [Reference(pose, scan) for pose, scan in question.old]
+            field = target_field(place.old, self._config.correlative)
+        self._fields[place.anchor] = field
+        references = [Reference(pose, scan) for pose, scan in place.old]
         return close_loop(
-            field, references, question.query, question.predicted, question.covariance,
+            field, references, place.query, place.predicted, place.covariance,
             self._config, self._matcher,
         )  # fmt: skip
 
 
-def at_once(search: Callable[..., Any], *arguments: Any) -> Future[Any]:
+def run_inline(search: Callable[..., Any], *arguments: Any) -> Future[Any]:
     """Do it here and now: for replays, which have no sensor to keep up with."""
     done: Future[Any] = Future()
     done.set_result(search(*arguments))

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 
 _FINEST_RAD = 1e-6  # from beam to beam; the finest lasers have 1e-3
 _WIDEST_RAD = 2.1 * math.pi  # a full turn, and some rounding
 
 
-def flaw(message: Message) -> str:
+def validate_message(message: Message) -> str:
     """Why a message cannot be used, in words; empty if it can.
 
     Readings that are nan, negative or infinite are no flaw of a scan: such beams saw nothing.
     """
     if isinstance(message, WheelOdometry) and not _finite(message.x, message.y, message.theta):
         return "odometry that is not finite"
-    if isinstance(message, LaserMount) and not _finite(message.x, message.y, message.theta):
+    if isinstance(message, LaserExtrinsics) and not _finite(message.x, message.y, message.theta):
         return "laser mount that is not finite"
     if isinstance(message, LaserScan):
         span = message.angle_step * max(len(message.ranges) - 1, 0)

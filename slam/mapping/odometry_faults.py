@@ -13,7 +13,7 @@ from slam.backend.chi_square import chi_square_limit
 from slam.frontend.match_types import MatchResult
 from slam.mapping.odometry import OdometryConfig
 
-OdometryLie = Literal["stall", "sign-flip", "slip", "jump", "distance"]
+OdometryFault = Literal["stall", "sign-flip", "slip", "jump", "distance"]
 
 DOUBTFUL = chi_square_limit(0.1, 3)  # an honest step in ten disagrees by more
 LEVER = 0.5  # m per rad: weighs turns against ways when the size of a motion is judged
@@ -42,7 +42,7 @@ class Step:
         return cls(odometry, matched, result.information, distance, turn, seconds)
 
 
-class LieDetector:
+class FaultDetector:
     """Watches odometry and matches side by side and names each lie once, when it is evident.
 
     A lie often lasts several keyframes, none of which refutes the odometry alone (a short step
@@ -54,11 +54,11 @@ class LieDetector:
         self._config = config
         self._limit = chi_square_limit(false_alarm, 3)
         self._run: Step | None = None  # doubtful steps so far, joined
-        self._kind: OdometryLie | None = None
+        self._kind: OdometryFault | None = None
         self._named = False
-        self._other: tuple[OdometryLie, Step] | None = None  # steps of another kind after a name
+        self._other: tuple[OdometryFault, Step] | None = None  # steps of another kind after a name
 
-    def watch(self, step: Step, refused: bool) -> OdometryLie | None:
+    def watch(self, step: Step, refused: bool) -> OdometryFault | None:
         """The lie that this step makes evident; None for an honest one or one already named.
 
         `refused` says that the odometry of this step was refuted all by itself.
@@ -77,7 +77,7 @@ class LieDetector:
         self._named = bool(evident)
         return kind if evident else None
 
-    def _after_the_name(self, step: Step, kind: OdometryLie) -> OdometryLie | None:
+    def _after_the_name(self, step: Step, kind: OdometryFault) -> OdometryFault | None:
         """Another name for the same run, if several of its steps in a row bear that one out.
 
         Where a lie begins or ends, half a step may look like another kind.
@@ -107,7 +107,7 @@ class LieDetector:
         return float(error @ weight @ error)
 
 
-def kind_of(odometry: Pose2, matched: Pose2) -> OdometryLie:
+def kind_of(odometry: Pose2, matched: Pose2) -> OdometryFault:
     """The lie that would turn the true step `matched` into what the odometry says.
 
     "stall": hardly any motion where there was some; "sign-flip": the way mirrored; "slip": a wrong

@@ -17,20 +17,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slam.backend.edges import Edge
 from slam.backend.pose_graph import PoseGraph
-from slam.backend.pruning import Renumbered, Thinned
+from slam.backend.pruning import Pruned, Renumbered
 from slam.logs.trajectory import compose
 from slam.mapping.keyframe import Keyframe, placed
-from slam.mapping.loop_worker import Beside
+from slam.mapping.loop_worker import Submit
 
 Matrix = NDArray[np.float64]
 
 
-class ThinningConfig(BaseModel):
+class PruningConfig(BaseModel):
     """Leaving keyframes out of the graph where it knows a place well enough."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    enough: int = Field(
+    min_redundancy: int = Field(
         8, ge=0, description="older keyframes with the same view that make one dispensable; "
         "0 keeps all"
     )  # fmt: skip
@@ -38,7 +38,7 @@ class ThinningConfig(BaseModel):
         0.5, gt=0, description="m between two views that count as the same, of the robot and "
         "what it looks at together"
     )  # fmt: skip
-    at_once: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
+    run_inline: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
     share: float = Field(
         0.1, ge=0, le=1, description="the same as a share of all, where that is more"
     )
@@ -81,19 +81,19 @@ class FormerPlaces:
         return scans[order], np.concatenate([poses, former])[order], owners[order]
 
 
-class Thinner:
+class Pruner:
     """Judges each keyframe once, when it is old enough for loops, and parts with many at once.
 
-    The smaller graph is made `beside` the step, as loop searches are: it takes a tenth of a second.
+    The smaller graph is made `submit` the step, as loop searches are: it takes a tenth of a second.
     """
 
-    def __init__(self, config: ThinningConfig, old_m: float, beside: Beside) -> None:
+    def __init__(self, config: PruningConfig, old_m: float, submit: Submit) -> None:
         self.places = FormerPlaces()
-        self._config, self._old_m, self._beside = config, old_m, beside
-        self._making: Future[tuple[PoseGraph, Thinned]] | None = None
+        self._config, self._old_m, self._submit = config, old_m, submit
+        self._making: Future[tuple[PoseGraph, Pruned]] | None = None
         self._judged = 1  # keyframes, so far; the graph hangs on the first
         self._centres = array("d")
-        self._spare: list[int] = []
+        self._redundant: list[int] = []
         # Of keyframes not judged yet, also those that were refused for the graph as it was.
         self._closures: dict[int, list[Edge]] = {}
         self._sound = False  # whether the graph agrees with the last closures passed
@@ -109,13 +109,13 @@ class Thinner:
         self._judged = keyframe
 
     def due(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, doubted: Collection[int]
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, odometry_faulty: Collection[int]
     ) -> bool:
         """Judge those that have become old; whether enough are dispensable by now.
 
-        `doubted` are scans to which the odometry did not lead: their keyframes are kept.
+        `odometry_faulty` are scans to which the odometry did not lead: their keyframes are kept.
         """
-        if not self._config.enough:
+        if not self._config.min_redundancy:
             return False
         now_m = keyframes[-1].travelled_m
         while (k := self._judged) < len(keyframes):
@@ -124,25 +124,27 @@ class Thinner:
             if edges := self._closures.pop(k, None):
                 self._sound = all(graph.agrees(edge) for edge in edges)
             if (
-                self._sound and keyframes[k].scan_index not in doubted
-                and self._is_spare(keyframes, graph, k) and self._sound_ahead(graph)
+                self._sound and keyframes[k].scan_index not in odometry_faulty
+                and self._is_redundant(keyframes, graph, k) and self._agrees_ahead(graph)
             ):  # fmt: skip
-                self._spare.append(k)
+                self._redundant.append(k)
             self._judged += 1
-        return len(self._spare) >= max(self._config.at_once, self._config.share * len(keyframes))
+        return len(self._redundant) >= max(
+            self._config.run_inline, self._config.share * len(keyframes)
+        )
 
     def begin(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, doubted: Collection[int]
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, odometry_faulty: Collection[int]
     ) -> bool:
         """Begin to make a smaller graph; False if it is not `due`.  None may change until taken."""
-        if not self.due(keyframes, graph, doubted):
+        if not self.due(keyframes, graph, odometry_faulty):
             return False
-        self._making = self._beside(graph.without, self._spare)
+        self._making = self._submit(graph.without, self._redundant)
         return True
 
     def take(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph
-    ) -> tuple[PoseGraph, Thinned] | None:
+    ) -> tuple[PoseGraph, Pruned] | None:
         """The graph without the dispensable ones, and what became of its edges; None: not begun."""
         if self._making is None:
             return None
@@ -152,7 +154,7 @@ class Thinner:
             there = graph.pose(anchor).between(graph.pose(k))
             self.places.add(keyframes[k].scan_index, anchor, there)
         self.places.renumber(left.index)
-        self._judged -= len(self._spare)
+        self._judged -= len(self._redundant)
         known, self._closures = self._closures, {}
         self.add_closures(
             left.index.renamed(edge)
@@ -160,29 +162,29 @@ class Thinner:
             for edge in edges
             if left.index.keeps(edge.i, edge.j)
         )
-        self._centres, self._spare = array("d"), []
+        self._centres, self._redundant = array("d"), []
         return smaller, left
 
-    def _sound_ahead(self, graph: PoseGraph) -> bool:
+    def _agrees_ahead(self, graph: PoseGraph) -> bool:
         """Whether the graph agrees with the next closures, too: then nothing is wrong between."""
         if not self._closures:
             return False
         return all(graph.agrees(edge) for edge in self._closures[min(self._closures)])
 
-    def _is_spare(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
+    def _is_redundant(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
         """Whether enough others show the same, and the graph is sure that they do."""
         poses, within = graph.poses[: k + 1], self._config.within_m
         near = np.flatnonzero(np.abs(poses[:, 0] - poses[k, 0]) <= within)
         near = near[np.abs(poses[near, 1] - poses[k, 1]) <= within]
-        if len(near) <= self._config.enough:  # the last is the one in question
+        if len(near) <= self._config.min_redundancy:  # the last is the one in question
             return False
-        near = near[~np.isin(near, self._spare)]
+        near = near[~np.isin(near, self._redundant)]
         for keyframe in keyframes[len(self._centres) // 2 : k + 1]:
             self._centres.extend(keyframe.centre)
         centres = np.frombuffer(self._centres).reshape(-1, 2)[near]
         views = np.hstack([placed(centres, poses[near]), poses[near, :2]])
         away = np.sqrt(np.sum((views[:-1] - views[-1]) ** 2, axis=1))
-        if np.count_nonzero(away <= within) < self._config.enough:
+        if np.count_nonzero(away <= within) < self._config.min_redundancy:
             return False
         covariance = graph.relative(int(near[np.argmin(away)]), k)[1]
         sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))

@@ -13,16 +13,16 @@ from gtsam import Pose2
 from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
 from slam.frontend.keyframes import Interval
-from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict, PoseEstimate
+from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopResult, PoseEstimate
 from slam.mapping.keyframe import Keyframe
-from slam.mapping.registration import Tracked
+from slam.mapping.registration import Registration
 
-Pair = TypeVar("Pair", FactorRecord, LoopVerdict)
+Pair = TypeVar("Pair", FactorRecord, LoopResult)
 
 
 def decision_record(
     scan: LaserScan, number: int, index: int, reason: str, moved: Pose2, interval: Interval,
-    tracked: Tracked | None,
+    registration: Registration | None,
 ) -> KeyframeDecision:  # fmt: skip
     """Why a scan became a keyframe.
 
@@ -33,18 +33,18 @@ def decision_record(
         reason: as `reason_to_keep` gives it.
         moved: last-keyframe_T_this by odometry.
         interval: that was chosen at the last keyframe.
-        tracked: what came of the match; None where there was none.
+        registration: what came of the match; None where there was none.
     """
-    complexity, foresight = interval.complexity, interval.foresight
+    complexity, prediction = interval.complexity, interval.prediction
     sums: tuple[float, ...] = complexity.sums if complexity else ()
     sigmas: tuple[float, ...] = ()
-    if tracked is not None and tracked.match_trusted:
-        sigmas = tracked.result.sigmas
+    if registration is not None and registration.match_trusted:
+        sigmas = registration.result.sigmas
     return KeyframeDecision(
-        scan.stamp_ns, number, index, reason, foresight.axis if foresight else "",
+        scan.stamp_ns, number, index, reason, prediction.axis if prediction else "",
         float(np.hypot(moved.x(), moved.y())), abs(moved.theta()), float(interval.length),
         complexity.t_pe if complexity else float("nan"),
-        foresight.sigmas if foresight else sums, sigmas,
+        prediction.sigmas if prediction else sums, sigmas,
     )  # fmt: skip
 
 
@@ -72,7 +72,7 @@ class Records:
         self.decisions: list[KeyframeDecision] = []
         self.factors: list[FactorRecord] = []
         self.estimates: list[PoseEstimate] = []
-        self.thinned_out: Counter[str] = Counter()  # keyframes, and what was known of them
+        self.pruned_counts: Counter[str] = Counter()  # keyframes, and what was known of them
 
     def add_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
         """Keep a factor on record with what became of it."""
@@ -87,7 +87,7 @@ class Records:
         self.factors, factors = pairs_left(self.factors, index)
         self.estimates = [e for e in self.estimates if e.lost or e.stamp_ns not in gone]
         refused = sum(f.kind == "odometry" and not f.used for f in factors)
-        self.thinned_out += Counter({"keyframes": len(gone), "odometry refused": refused})
+        self.pruned_counts += Counter({"keyframes": len(gone), "odometry refused": refused})
 
 
 def pairs_left(pairs: Iterable[Pair], index: Renumbered) -> tuple[list[Pair], list[Pair]]:

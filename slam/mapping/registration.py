@@ -18,21 +18,21 @@ from slam.frontend.scan import PreparedScan
 
 # The lies that look true: motion of the wrong sign, motion where there is none, and none where
 # there is; each with a start that would be right.
-RIVALS = ("mirrored translation", "zero motion", "previous velocity")
-RIVAL_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
+ALTERNATIVE_STARTS = ("mirrored translation", "zero motion", "previous velocity")
+ALTERNATIVE_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
 GOES_ON_S = 4.0  # s for which a robot may have gone on as it did before; a stall takes seconds
 APART_M = 0.03  # m between the ends of two matches that are not the same
 
 DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
 
 
-class TrackingConfig(BaseModel):
+class RegistrationConfig(BaseModel):
     """When a match of neighbouring keyframes is believed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     references: int = Field(6, ge=1, description="keyframes matched against at once")
-    good_explained: float = Field(
+    good_pair_inlier_fraction: float = Field(
         0.7, ge=0, le=1, description="share of beams that must fit for a match without doubts"
     )
     false_alarm: float = Field(
@@ -45,16 +45,16 @@ class TrackingConfig(BaseModel):
     margin: float = Field(
         1.05, ge=1, description="by how much another start must explain the scan better"
     )
-    good_quality: float = Field(
+    good_inlier_fraction: float = Field(
         0.45, ge=0, le=1, description="share of beams paired and explained, below which to search"
     )
-    min_quality: float = Field(
+    min_inlier_fraction: float = Field(
         0.25, ge=0, le=1, description="share of beams paired and explained, below which all is lost"
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Tracked:
+class Registration:
     """Outcome for one keyframe; poses are last_T_new."""
 
     result: MatchResult
@@ -80,16 +80,16 @@ def disagreement(result: MatchResult, prior: Prior) -> float:
     return float(error @ weight @ error)
 
 
-def track(
+def register(
     references: Sequence[Reference],
     source: PreparedScan,
     prior: Prior,
     alternatives: Sequence[tuple[str, Pose2]],
     plausible: bool,
     goes_on: bool,
-    config: TrackingConfig,
+    config: RegistrationConfig,
     matcher: MatchConfig,
-) -> Tracked:
+) -> Registration:
     """Match a keyframe against the ones before it, from several starts if the first disappoints.
 
     Args:
@@ -105,33 +105,38 @@ def track(
     limit = chi_square_limit(config.false_alarm, 3)
     first = match(references, source, prior.target_T_source, matcher, prior)
     agreed = first.converged and disagreement(first, prior) < limit
-    good = first.explained >= config.good_explained and first.quality >= config.good_quality
+    good = (
+        first.pair_inlier_fraction >= config.good_pair_inlier_fraction
+        and first.inlier_fraction >= config.good_inlier_fraction
+    )
     if plausible and agreed and good:
-        if not _surpassed(first, references, source, alternatives, goes_on, config, matcher):
-            return Tracked(first, True, True, "")
+        if not _beaten_by_alternative(
+            first, references, source, alternatives, goes_on, config, matcher
+        ):
+            return Registration(first, True, True, "")
     best, start = first, "odometry"
     for name, guess in [("odometry", prior.target_T_source), *alternatives]:
         other = _match_last(references, source, guess, matcher, config)
-        if _quality(other) > config.margin * _quality(best):
+        if _inlier_fraction(other) > config.margin * _inlier_fraction(best):
             best, start = other, name
-    if _quality(best) < config.good_quality:
+    if _inlier_fraction(best) < config.good_inlier_fraction:
         for guess in _searched(references, source, prior, config):
             other = _match_last(references, source, guess, matcher, config)
-            if _quality(other) > config.margin * _quality(best):
+            if _inlier_fraction(other) > config.margin * _inlier_fraction(best):
                 best, start = other, "a search"
-    if _quality(best) < config.min_quality:
-        note = f"match refused: {best.reason or 'too few beams explained'}"
-        return Tracked(best, plausible, False, note)
+    if _inlier_fraction(best) < config.min_inlier_fraction:
+        note = f"match refused: {best.reason or 'too few beams pair_inlier_fraction'}"
+        return Registration(best, plausible, False, note)
     # An axis that the scans do not see must not keep the place of whatever start was the best.
-    doubted = Prior(prior.target_T_source, prior.covariance * DOUBT**2)
-    held = match(references, source, best.target_T_source, matcher, doubted)
-    if held.quality * config.margin >= best.quality:
+    odometry_faulty = Prior(prior.target_T_source, prior.covariance * DOUBT**2)
+    held = match(references, source, best.target_T_source, matcher, odometry_faulty)
+    if held.inlier_fraction * config.margin >= best.inlier_fraction:
         best = held
     distance = disagreement(best, prior)
     if plausible and distance < limit:
-        return Tracked(best, True, True, "")
+        return Registration(best, True, True, "")
     cause = f"chi-square {distance:.0f}" if plausible else "faster than the robot can move"
-    return Tracked(best, False, True, f"odometry refused: {cause}; matched from {start}")
+    return Registration(best, False, True, f"odometry refused: {cause}; matched from {start}")
 
 
 def starts_in_doubt(
@@ -154,9 +159,9 @@ def starts_in_doubt(
     return starts
 
 
-def _surpassed(
+def _beaten_by_alternative(
     first: MatchResult, references: Sequence[Reference], source: PreparedScan,
-    alternatives: Sequence[tuple[str, Pose2]], goes_on: bool, config: TrackingConfig,
+    alternatives: Sequence[tuple[str, Pose2]], goes_on: bool, config: RegistrationConfig,
     matcher: MatchConfig,
 ) -> bool:  # fmt: skip
     """Whether another start explains the scan clearly better, though odometry and match agree.
@@ -167,19 +172,21 @@ def _surpassed(
     """
 
     def found(guess: Pose2, among: Sequence[Reference]) -> MatchResult:
-        return match(among, source, guess, matcher, Prior(guess, RIVAL_COVARIANCE))
+        return match(among, source, guess, matcher, Prior(guess, ALTERNATIVE_COVARIANCE))
 
     last = references[-1:]
-    alone = _quality(found(first.target_T_source, last))
+    alone = _inlier_fraction(found(first.target_T_source, last))
     for name, guess in alternatives:
-        if name not in RIVALS:
+        if name not in ALTERNATIVE_STARTS:
             continue
-        rival = found(guess, last)
-        step = first.target_T_source.between(rival.target_T_source)
-        if np.hypot(step.x(), step.y()) < APART_M or _quality(rival) < alone:
+        other = found(guess, last)
+        step = first.target_T_source.between(other.target_T_source)
+        if np.hypot(step.x(), step.y()) < APART_M or _inlier_fraction(other) < alone:
             continue
         unseen = _unseen(references, source, first.target_T_source) if goes_on else 0.0
-        if _quality(found(guess, references)) > config.margin * (first.quality + unseen):
+        if _inlier_fraction(found(guess, references)) > config.margin * (
+            first.inlier_fraction + unseen
+        ):
             return True
     return False
 
@@ -200,13 +207,13 @@ def _unseen(references: Sequence[Reference], source: PreparedScan, pose: Pose2) 
     return float(np.mean(unseen)) if len(points) else 0.0
 
 
-def _quality(result: MatchResult) -> float:
-    return result.quality if result.converged else 0.0
+def _inlier_fraction(result: MatchResult) -> float:
+    return result.inlier_fraction if result.converged else 0.0
 
 
 def _match_last(
     references: Sequence[Reference], source: PreparedScan, guess: Pose2, matcher: MatchConfig,
-    config: TrackingConfig,
+    config: RegistrationConfig,
 ) -> MatchResult:  # fmt: skip
     """Match without a prior, first against the last keyframe alone.
 
@@ -217,12 +224,12 @@ def _match_last(
         return alone
     seed = Prior(alone.target_T_source, np.diag([0.05, 0.05, 0.03]) ** 2)
     joint = match(references, source, alone.target_T_source, matcher, seed)
-    good = joint.converged and joint.explained >= config.good_explained
-    return joint if good and joint.quality >= alone.quality else alone
+    good = joint.converged and joint.pair_inlier_fraction >= config.good_pair_inlier_fraction
+    return joint if good and joint.inlier_fraction >= alone.inlier_fraction else alone
 
 
 def _searched(
-    references: Sequence[Reference], source: PreparedScan, prior: Prior, config: TrackingConfig
+    references: Sequence[Reference], source: PreparedScan, prior: Prior, config: RegistrationConfig
 ) -> list[Pose2]:
     """Where a correlative search about the last keyframe and the odometry's step finds the scan."""
     field = target_field([(r.target_T_scan, r.scan) for r in references[-3:]], config.search)

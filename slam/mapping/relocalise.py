@@ -13,7 +13,7 @@ from slam.backend.pose_graph import Edge, PoseGraph
 from slam.frontend.loop_search import Closure, close_loop, target_field
 from slam.frontend.match_types import Reference
 from slam.frontend.scan import PreparedScan
-from slam.logs.messages import FactorRecord, KeyframeDecision, LaserMount, TruePose
+from slam.logs.messages import FactorRecord, KeyframeDecision, LaserExtrinsics, TruePose
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe
 
@@ -26,7 +26,7 @@ NEAR_START = np.diag([0.5, 0.5, 0.2]) ** 2  # m, m, rad: how far off a given sta
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Past:
+class PriorMap:
     """What a finished run hands on."""
 
     keyframes: list[Keyframe]
@@ -34,7 +34,7 @@ class Past:
     edges: list[Edge]  # of the graph as it ended
     factors: list[FactorRecord]
     decisions: list[KeyframeDecision]
-    mount: LaserMount
+    extrinsics: LaserExtrinsics
     truth: list[TruePose]
     start: Pose2 | None  # map_T_base where the robot goes on; None if it is to be found
 
@@ -70,17 +70,17 @@ def locate(
         return None
     anchor, best = max(sound, key=lambda pair: pair[1].score)
     here = _placed(graph, anchor, best)
-    for other, rival in found:
-        error = here.between(_placed(graph, other, rival))
+    for place, other in found:
+        error = here.between(_placed(graph, place, other))
         elsewhere = np.hypot(error.x(), error.y()) > ELSEWHERE_M
         if elsewhere or abs(error.theta()) > ELSEWHERE_RAD:
-            if rival.score > config.loops.search.rival_ratio * best.score:
+            if other.score > config.loops.search.ambiguity_ratio * best.score:
                 return None
     assert best.result is not None
     edge = Edge("icp", anchor, len(graph), best.result.target_T_source, best.result.information)
     # A corridor would leave the new part of the map loose along it.
-    firm = np.linalg.eigvalsh(graph.weight(edge)[:2, :2])[0] > 1.0 / ELSEWHERE_M**2
-    return edge if firm else None
+    well_constrained = np.linalg.eigvalsh(graph.weight(edge)[:2, :2])[0] > 1.0 / ELSEWHERE_M**2
+    return edge if well_constrained else None
 
 
 def _places(poses: Matrix, start: Pose2 | None) -> list[int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Motion = tuple[float, float, float]  # x, y (m), theta (rad)
 
 
-class ScanTrack:
+class ScanHistory:
     """Stamps and odometry of all scans so far, 32 bytes each: a robot may stand for days."""
 
     def __init__(self) -> None:

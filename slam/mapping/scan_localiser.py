@@ -36,15 +36,17 @@ class LocaliseConfig(BaseModel):
     radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
     sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
     sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
-    min_explained: float = Field(0.6, ge=0, le=1, description="share of pairs that must fit")
-    min_quality: float = Field(
+    min_pair_inlier_fraction: float = Field(
+        0.6, ge=0, le=1, description="share of pairs that must fit"
+    )
+    min_inlier_fraction: float = Field(
         0.3,
         ge=0,
         le=1,
         description="share of beams that must fit, or other starts are tried, and "
         "the guess is kept in the end",
     )
-    good_quality: float = Field(
+    good_inlier_fraction: float = Field(
         0.7,
         ge=0,
         le=1,
@@ -92,7 +94,7 @@ def refine_edges(
         references = [Reference(base.between(graph.pose(n)), keyframes[n].prepared) for n in chosen]
         guess = base.between(graph.pose(k))
         result = match(references, keyframe.prepared, guess, matcher, prior_of(guess, config))
-        if not result.converged or result.explained < config.min_explained:
+        if not result.converged or result.pair_inlier_fraction < config.min_pair_inlier_fraction:
             continue
         kind: Literal["icp", "loop"] = "icp" if abs(anchor - k) == 1 else "loop"
         edges.append(Edge(kind, anchor, k, result.target_T_source, result.information))
@@ -130,7 +132,7 @@ class ScanLocaliser:
         self.matches = 0
 
     def locate(
-        self, scan: PreparedScan, guess: Pose2, doubted: bool = False,
+        self, scan: PreparedScan, guess: Pose2, odometry_faulty: bool = False,
         first: Matched | None = None, reach_m: float = math.inf,
     ) -> Pose2:  # fmt: skip
         """map_T_base of the next scan; the guess where nothing better is found.
@@ -140,21 +142,25 @@ class ScanLocaliser:
 
         Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
         more than it should: then the search starts again from where the last scan was found.  A
-        match from the guess is good enough unless that odometry is `doubted`: in a corridor other
+        match from the guess is good enough unless that odometry is faulty: in a corridor other
         starts find other places that look alike.  What they find farther off than `reach_m`, and
         a guess may be, is out of the question.
         """
-        enough = self._config.good_quality if doubted else self._config.min_quality
-        best, best_quality = guess, self._config.min_quality
+        enough = (
+            self._config.good_inlier_fraction
+            if odometry_faulty
+            else self._config.min_inlier_fraction
+        )
+        best, best_inlier_fraction = guess, self._config.min_inlier_fraction
         farthest = reach_m + 3.0 * self._config.sigma_trans
         for start in (guess, *self._other_starts(scan.stamp_ns, guess)):
-            found, quality = first or self.match_from(scan, start)
+            found, inlier_fraction = first or self.match_from(scan, start)
             first = None
             self.matches += 1
             away = guess.between(found)
-            if quality > best_quality and np.hypot(away.x(), away.y()) <= farthest:
-                best, best_quality = found, quality
-            if best_quality > enough:
+            if inlier_fraction > best_inlier_fraction and np.hypot(away.x(), away.y()) <= farthest:
+                best, best_inlier_fraction = found, inlier_fraction
+            if best_inlier_fraction > enough:
                 break
         self._last = self._located(scan.stamp_ns, guess, best)
         return best
@@ -190,9 +196,12 @@ class ScanLocaliser:
         ]
         prior = prior_of(base.between(guess), self._config)
         result = match(references, scan, prior.target_T_source, self._matcher, prior)
-        if not result.converged or result.explained < self._config.min_explained:
+        if (
+            not result.converged
+            or result.pair_inlier_fraction < self._config.min_pair_inlier_fraction
+        ):
             return guess, 0.0
         error = np.abs(Pose2.Logmap(prior.target_T_source.between(result.target_T_source)))
         if (error > 3.0 * np.sqrt(np.diag(prior.covariance))).any():
             return guess, 0.0
-        return base * result.target_T_source, result.quality
+        return base * result.target_T_source, result.inlier_fraction

@@ -13,39 +13,41 @@ Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Expected:
+class PredictedPoses:
     """Of each of n scans, from the keyframes before and after it, and the odometry between."""
 
     poses: Matrix  # (n, 3) map_T_base
     reach_m: Matrix  # (n,) m, to the farther of the two
-    doubted: NDArray[np.bool_]  # (n,) whether the odometry that leads there was refuted
+    odometry_faulty: NDArray[np.bool_]  # (n,) whether the odometry that leads there was refuted
     before: NDArray[np.intp]  # (n,) which keyframe is the one before, 0 where there is none
 
 
-def expect(
+def predict_poses(
     odom_poses: Matrix, keyframe_scans: NDArray[np.int64], keyframe_poses: Matrix,
-    doubted_scans: Collection[int],
-) -> Expected:  # fmt: skip
+    faulty_scans: Collection[int],
+) -> PredictedPoses:  # fmt: skip
     """What is known of all scans once the keyframes have their poses.
 
     Args:
         odom_poses: (n, 3) odom_T_base of all scans.
         keyframe_scans: (m,) which of them are keyframes.
         keyframe_poses: (m, 3) map_T_base of those.
-        doubted_scans: keyframes to which the odometry did not lead, as scans.
+        faulty_scans: keyframes to which the odometry did not lead, as scans.
     """
     rows = np.arange(len(odom_poses))
     before = np.searchsorted(keyframe_scans, rows, side="right") - 1
-    poses = warp(odom_poses, before, keyframe_scans, keyframe_poses)
+    poses = drift_corrected(odom_poses, before, keyframe_scans, keyframe_poses)
     before = np.maximum(before, 0)
     after = np.searchsorted(keyframe_scans, rows)  # of a keyframe itself, that one
     ends = np.stack([before, np.minimum(after, len(keyframe_scans) - 1)])
     ways = keyframe_poses[ends, :2] - poses[:, :2]
-    doubted = np.isin(np.append(keyframe_scans, -1), sorted(doubted_scans))[after]
-    return Expected(poses, np.hypot(ways[..., 0], ways[..., 1]).max(axis=0), doubted, before)
+    odometry_faulty = np.isin(np.append(keyframe_scans, -1), sorted(faulty_scans))[after]
+    return PredictedPoses(
+        poses, np.hypot(ways[..., 0], ways[..., 1]).max(axis=0), odometry_faulty, before
+    )
 
 
-def warp(
+def drift_corrected(
     odom_poses: Matrix,
     scan_keyframes: NDArray[np.int64],
     keyframe_scans: NDArray[np.int64],

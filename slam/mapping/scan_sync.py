@@ -17,7 +17,7 @@ STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in burs
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Paired:
+class ScanWithOdometry:
     """A scan, where the odometry has the robot then, and how far it moved during the sweep."""
 
     scan: LaserScan
@@ -26,11 +26,11 @@ class Paired:
     late: bool  # its odometry did not come in time; the last reading stands in
 
 
-class ScanPairing:
+class ScanSync:
     """Holds scans, in their order, until there is odometry after them."""
 
-    def __init__(self, unbends: bool) -> None:
-        self._unbends = unbends  # then the odometry of the sweep's end is needed, too
+    def __init__(self, deskews: bool) -> None:
+        self._deskews = deskews  # then the odometry of the sweep's end is needed, too
         self._waiting: deque[LaserScan] = deque()
         self._odometry = OdometryBuffer()
 
@@ -45,7 +45,7 @@ class ScanPairing:
         """Take in a reading; False if its stamp runs backwards (and it is ignored)."""
         return self._odometry.add(message)
 
-    def next(self, wait: bool) -> Paired | None:
+    def next(self, wait: bool) -> ScanWithOdometry | None:
         """The oldest scan that is ready; None if there is none.
 
         Without `wait`, no more odometry will come, and every scan is ready.
@@ -53,7 +53,7 @@ class ScanPairing:
         if not self._waiting:
             return None
         scan, late = self._waiting[0], False
-        sweep = sweep_ns(scan) if self._unbends else 0
+        sweep = sweep_ns(scan) if self._deskews else 0
         end_ns = scan.stamp_ns + sweep
         if wait and (not self._odometry or self._odometry.last_ns < end_ns):
             if self._waiting[-1].stamp_ns - scan.stamp_ns < MAX_WAIT_NS:
@@ -62,11 +62,11 @@ class ScanPairing:
         self._waiting.popleft()
         odom_T_base = self._odometry.at(scan.stamp_ns) if self._odometry else Pose2()
         moved = odom_T_base.between(self._odometry.at(end_ns)) if sweep else Pose2()
-        return Paired(scan, odom_T_base, (moved.x(), moved.y(), moved.theta()), late)
+        return ScanWithOdometry(scan, odom_T_base, (moved.x(), moved.y(), moved.theta()), late)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sighting:
+class StampedScan:
     """A scan with its odometry, and how far the wheels had come by then."""
 
     scan: LaserScan
@@ -78,16 +78,16 @@ class Sighting:
     turn_rate: float  # rad/s
 
 
-HONEST = (0.0, 0.0)  # m/s and rad/s by which the wheels are suspected to tell a wrong motion
+ZERO_BIAS = (0.0, 0.0)  # m/s and rad/s by which the wheels are suspected to tell a wrong motion
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Stretch:
+class OdometryIncrement:
     """What the wheels told from one sighting to a later one."""
 
-    first: Sighting
-    last: Sighting
-    suspected: tuple[float, float] = HONEST
+    first: StampedScan
+    last: StampedScan
+    bias: tuple[float, float] = ZERO_BIAS
 
     @property
     def moved(self) -> Pose2:
@@ -115,15 +115,17 @@ class Stretch:
         return self.last.path_rad - self.first.path_rad
 
 
-def sight(scan: LaserScan, odom_T_base: Pose2, index: int, last: Sighting | None) -> Sighting:
+def next_stamped_scan(
+    scan: LaserScan, odom_T_base: Pose2, index: int, last: StampedScan | None
+) -> StampedScan:
     """The sighting after `last`, which is None for the first of a log."""
     if last is None:
-        return Sighting(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
+        return StampedScan(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
     step = last.odom_T_base.between(odom_T_base)
     # Stamps jitter by more than the time between them in some logs.
     seconds = (scan.stamp_ns - last.scan.stamp_ns) * 1e-9 + STAMP_JITTER_S
     length, turn = float(np.hypot(step.x(), step.y())), abs(step.theta())
-    return Sighting(
+    return StampedScan(
         scan, index, odom_T_base, last.path_m + length, last.path_rad + turn,
         length / seconds, turn / seconds,
     )  # fmt: skip

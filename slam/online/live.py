@@ -19,7 +19,7 @@ from slam.online.device_notes import clock_model, health, identity, line_of
 from slam.online.robot_config import RobotConfig
 from slam.online.sequencer import Intake, Taken
 from slam.runs.errors import RunError
-from slam.runs.observer import Nobody, Watcher
+from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import feed
 from slam.runs.replay import TimedStep
 from slam.runs.status import Status, device_losses
@@ -43,7 +43,7 @@ class LiveRun:
         clock: Clock,
         slam: Slam | None,
         opener: Callable[[str, int], Port] = open_port,
-        watcher: Watcher | None = None,
+        observer: Observer | None = None,
     ) -> None:
         self.slam = slam
         self.intake = Intake(recorder, hand_on=slam is not None)
@@ -59,8 +59,8 @@ class LiveRun:
         self.cpu_share = 0.0  # of one core, while the devices were read
         self.has_odometry = False
         self.ended_by = ""  # why the run ended by itself
-        self._recorder, self._clock, self._mount = recorder, clock, config.mount
-        self._watcher = watcher or Nobody()
+        self._recorder, self._clock, self._extrinsics = recorder, clock, config.mount
+        self._watcher = observer or NullObserver()
         self._links = {"p3dx": "waiting", "laser": "waiting"}
         self._said: dict[str, str] = {}
         self._notices: list[str] = []
@@ -80,7 +80,7 @@ class LiveRun:
         """
         now = self._began_ns = self._told_ns = self._clock()
         cpu_s = time.process_time()
-        self.intake(Received(now, self._mount.message(now)))
+        self.intake(Received(now, self._extrinsics.message(now)))
         for reader in self.readers:
             reader.start()
         try:

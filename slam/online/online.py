@@ -20,12 +20,12 @@ from slam.logs.recorder import Recorder
 from slam.logs.recording import RecordingStatus
 from slam.mapping.slam import Slam
 from slam.online.live import LiveRun
-from slam.online.priority import give_way, undisturbed
+from slam.online.priority import lower_priority, prioritised
 from slam.online.robot_config import RobotConfig
 from slam.online.run import RECORDING, add_results, finish_folder, log_name, online_run
 from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError, SlamError
-from slam.runs.observer import Nobody, Watcher
+from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish
 from slam.runs.replay import SLAM_TOPICS, summarise, time_matches
 from slam.runs.run_directory import version
@@ -45,7 +45,7 @@ def run_online(
     say: Callable[[str], None] = lambda text: None,
     period_s: float = 1.0,
     opener: Callable[[str, int], Port] = open_port,
-    watcher: Watcher | None = None,
+    observer: Observer | None = None,
 ) -> dict[str, Any]:
     """Record and map until `stop` says so, write the RUN, and return its summary.
 
@@ -58,15 +58,15 @@ def run_online(
         say: told what happens, in words.
         period_s: between two statuses.
         opener: opens ports; replaced in tests.
-        watcher: shown the run as it goes.
+        observer: shown the run as it goes.
 
     Raises:
         RunError: `out` cannot be written, or nothing was there to map; what was recorded is
             in `out` all the same.
         LogError: the disk failed.
     """
-    watch, watcher = Stopwatch(), watcher or Nobody()
-    loops = ThreadPoolExecutor(1, thread_name_prefix="loops", initializer=give_way)
+    watch, observer = Stopwatch(), observer or NullObserver()
+    loops = ThreadPoolExecutor(1, thread_name_prefix="loops", initializer=lower_priority)
     slam = None if record_only else Slam(config.slam, watch, loops.submit)
     identity = {
         "source": "online", "version": version(), "config_sha256": config.slam.sha256(),
@@ -88,9 +88,9 @@ def run_online(
                 "robot.json", config.model_dump_json(indent=2, exclude={"slam"}).encode(),
                 "application/json",
             )  # fmt: skip
-            live = LiveRun(config, recorder, clock, slam, opener, watcher)
+            live = LiveRun(config, recorder, clock, slam, opener, observer)
             say("recording; stop with Ctrl-C")
-            with undisturbed():
+            with prioritised():
                 live.run(stop, tell, period_s)
         status = recorder.status()
         summary = _account(live, status, identity)
@@ -100,9 +100,9 @@ def run_online(
         try:
             if slam is not None:
                 say("finishing the map")
-                watcher.stage("finishing the map")
+                observer.stage("finishing the map")
                 recording = Recording(status.files[0])
-                summary = _map(recording, live, slam, watch, identity, summary, began, watcher)
+                summary = _map(recording, live, slam, watch, identity, summary, began, observer)
         finally:
             finish_folder(folder, summary, config.slam)
     if status.stopped and slam is None:
@@ -112,7 +112,7 @@ def run_online(
 
 def _map(
     recording: Recording, live: LiveRun, slam: Slam, watch: Stopwatch, identity: Mapping[str, str],
-    account: dict[str, Any], began: tuple[float, float], watcher: Watcher,
+    account: dict[str, Any], began: tuple[float, float], observer: Observer,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
     if not live.intake.scans:
@@ -124,7 +124,7 @@ def _map(
         return recording.messages(SLAM_TOPICS)
 
     result = finish(slam, source, [], watch, lambda stage, done: None)
-    watcher.finish(result)
+    observer.finish(result)
     add_results(recording, result, identity, slam.config)
     timing = _timing(live, result, watch, began)
     summary = summarise(result, account["log"], timing, slam.config)

@@ -14,7 +14,7 @@ _NICER = 10  # of a search: it gets what the pipeline and the readers leave of t
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def prioritised() -> Iterator[None]:
     """Enclose the drive: no long pauses of the interpreter.
 
     Modules and compiled kernels are some 200 000 objects: to look through them for garbage
@@ -31,7 +31,7 @@ def undisturbed() -> Iterator[None]:
         gc.unfreeze()
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Let the thread that calls this wait for all others; Linux alone has priorities of threads."""
     if sys.platform == "linux":
         with suppress(OSError):

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from slam.drivers.hokuyo import HokuyoConfig
 from slam.drivers.pioneer import PioneerConfig
 from slam.drivers.pioneer_decoder import MODELS
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 from slam.logs.recording import RecorderConfig
 from slam.mapping.config import SlamConfig
 from slam.runs.config_file import load_model
@@ -92,9 +92,9 @@ class MountConfig(BaseModel):
         0.0, allow_inf_nan=False, description="deg, heading of its middle beam, anticlockwise"
     )
 
-    def message(self, stamp_ns: int) -> LaserMount:
+    def message(self, stamp_ns: int) -> LaserExtrinsics:
         """The mount as the log has it."""
-        return LaserMount(stamp_ns, self.x, self.y, math.radians(self.theta_deg))
+        return LaserExtrinsics(stamp_ns, self.x, self.y, math.radians(self.theta_deg))
 
 
 class RecordingConfig(BaseModel):

@@ -10,7 +10,7 @@ from slam.runs.offline import Result
 from slam.runs.status import Status
 
 
-class Watcher(Protocol):
+class Observer(Protocol):
     """Looks on in the pipeline's thread: it copies what it wants to keep, and returns at once."""
 
     def show(self, slam: Slam, message: Message) -> None:
@@ -34,7 +34,7 @@ class Watcher(Protocol):
         ...
 
 
-class Nobody:
+class NullObserver:
     """Does not look."""
 
     def show(self, slam: Slam, message: Message) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam.backend.batch import OUTLIER
 from slam.backend.edges import Edge
-from slam.frontend.deskew import unbend
+from slam.frontend.deskew import deskew
 from slam.frontend.scan import PreparedScan, prepare
 from slam.logs.messages import (
     LaserScan,
@@ -25,10 +25,10 @@ from slam.logs.messages import (
 )
 from slam.logs.trajectory import Trajectory, compose
 from slam.mapping.config import SlamConfig
-from slam.mapping.message_checks import flaw
-from slam.mapping.relocalise import Past
+from slam.mapping.message_checks import validate_message
+from slam.mapping.relocalise import PriorMap
 from slam.mapping.scan_localiser import ScanLocaliser, refine_edges
-from slam.mapping.scan_priors import Expected, expect
+from slam.mapping.scan_priors import PredictedPoses, predict_poses
 from slam.mapping.slam import BACKWARDS, Slam
 from slam.mapping.stage_timer import NullTimer
 from slam.maps.occupancy import build_map
@@ -63,7 +63,7 @@ def run_offline(
     watch: NullTimer | None = None,
     progress: Progress | None = None,
     step: Callable[[Slam, Message], None] = Slam.step,
-    past: Past | None = None,
+    prior_map: PriorMap | None = None,
     processes: int = 1,
 ) -> Result:
     """Run SLAM over a source of messages, which is read twice.
@@ -74,7 +74,7 @@ def run_offline(
         watch: measures where the time goes.
         progress: told the stage and the number of messages or scans done.
         step: how a message is handed to the pipeline; replaced to time it.
-        past: a run to go on with; its map becomes part of this one.
+        prior_map: a run to go on with; its map becomes part of this one.
         processes: to place the scans with; more than one only in a process without other threads.
 
     Raises:
@@ -83,20 +83,24 @@ def run_offline(
     """
     watch, tell = watch or NullTimer(), progress or (lambda stage, done: None)
     slam = Slam(config, watch)
-    if past is not None:
-        slam.resume(past)
+    if prior_map is not None:
+        slam.resume(prior_map)
     truth = _track(slam, _timed(source(), watch), tell, step)
-    if past is None:
+    if prior_map is None:
         return finish(slam, source, truth, watch, tell, processes)
-    if slam.lost_in_the_past and len(slam.scans) == len(past.keyframes) and slam.lost[BACKWARDS]:
+    if (
+        slam.not_relocalised
+        and len(slam.scans) == len(prior_map.keyframes)
+        and slam.lost[BACKWARDS]
+    ):
         raise SlamError("the log is older than the run to go on with: name one recorded after it")
-    if slam.lost_in_the_past:
+    if slam.not_relocalised:
         raise SlamError(
             "the robot was not found in the map to go on with, or it looks alike elsewhere: "
             "say where it starts, --start end or --start x,y,theta" + _left_out(slam)
         )
-    before = [k.scan for k in past.keyframes]
-    truth = [*past.truth, *truth]
+    before = [k.scan for k in prior_map.keyframes]
+    truth = [*prior_map.truth, *truth]
     return finish(slam, lambda: chain(before, source()), truth, watch, tell, processes)
 
 
@@ -123,7 +127,7 @@ def _track(
 
 def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = Slam.step) -> bool:
     """Hand one message to the pipeline, live and in replay alike; False if it is of no use."""
-    if cause := flaw(message):
+    if cause := validate_message(message):
         slam.lost[cause] += 1
         return False
     step(slam, message)
@@ -158,21 +162,21 @@ def finish(
     odometry = slam.scans.odom_poses
     keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
     place_scans, places, owners = slam.places(poses)
-    expected = expect(odometry, place_scans, places, slam.doubted)
-    found, matches = expected.poses, 0
+    predicted = predict_poses(odometry, place_scans, places, slam.odometry_faulty)
+    found, matches = predicted.poses, 0
     if config.localise.every_scan:
         with watch("localising"):
-            found, matches = _localise(slam, source, poses, expected, watch, tell, processes)
+            found, matches = _localise(slam, source, poses, predicted, watch, tell, processes)
     with watch("map"):
-        mount = np.array([slam.mount.x, slam.mount.y, slam.mount.theta])
+        extrinsics = np.array([slam.extrinsics.x, slam.extrinsics.y, slam.extrinsics.theta])
         scans = [k.scan for k in slam.keyframes]
-        grid = build_map(scans, compose(found[keyframe_scans], mount), config.map)
+        grid = build_map(scans, compose(found[keyframe_scans], extrinsics), config.map)
     return Result(
         slam,
         Trajectory(stamps, found),
         Trajectory(stamps, odometry),
         Trajectory(stamps[keyframe_scans], poses),
-        _estimates(slam, stamps, found, marginals[owners[expected.before]]),
+        _estimates(slam, stamps, found, marginals[owners[predicted.before]]),
         graph.edges,
         [graph.weight(edge) for edge in graph.edges],
         grid,
@@ -194,12 +198,12 @@ def settle(slam: Slam) -> None:
     """
     graph = slam.graph
     assert graph is not None
-    refuted = slam.loops.refuted
-    graph.add_edges_batch([candidate.edge for candidate in refuted])
+    rejected = slam.loops.rejected
+    graph.add_edges_batch([candidate.edge for candidate in rejected])
     graph.optimise()
     weights = {id(graph.edges[k]): weight for k, weight in graph.loop_weights.items()}
     judged: dict[tuple[int, int], tuple[bool, str]] = {}
-    for candidate in refuted:
+    for candidate in rejected:
         edge, used = candidate.edge, weights[id(candidate.edge)] >= OUTLIER
         note = READMITTED if used else f"chi-square {candidate.chi_square:.1f} against the graph"
         slam.records.add_edge(candidate.stamp_ns, edge, used, note)
@@ -214,10 +218,10 @@ def settle(slam: Slam) -> None:
         if f.kind == "loop" and (f.i, f.j) in judged else f
         for f in slam.records.factors
     ]  # fmt: skip
-    slam.loops.verdicts = [
+    slam.loops.closure_results = [
         replace(v, accepted=judged[v.i, v.j][0], reason=judged[v.i, v.j][1])
         if (v.i, v.j) in judged else v
-        for v in slam.loops.verdicts
+        for v in slam.loops.closure_results
     ]  # fmt: skip
 
 
@@ -233,21 +237,24 @@ def _timed(messages: Iterable[Message], watch: NullTimer) -> Iterable[Message]:
 
 
 def _localise(
-    slam: Slam, source: Source, poses: NDArray[np.float64], expected: Expected, watch: NullTimer,
-    tell: Progress, processes: int,
+    slam: Slam, source: Source, poses: NDArray[np.float64], predicted: PredictedPoses,
+    watch: NullTimer, tell: Progress, processes: int,
 ) -> tuple[NDArray[np.float64], int]:  # fmt: skip
     """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
     localiser = ScanLocaliser(slam.keyframes, poses, slam.config.localise, slam.config.matcher)
-    found = expected.poses.copy()
+    found = predicted.poses.copy()
 
     def prepared() -> Iterator[tuple[PreparedScan, Pose2]]:
         for row, scan in enumerate(_scans_again(slam, _timed(source(), watch))):
-            yield prepare(scan, slam.mount, slam.config.scan), Pose2(*expected.poses[row])
+            yield prepare(scan, slam.extrinsics, slam.config.scan), Pose2(*predicted.poses[row])
 
     matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
     for row, ((scan, guess), first) in enumerate(matched):
-        doubted, reach_m = bool(expected.doubted[row]), float(expected.reach_m[row])
-        pose = localiser.locate(scan, guess, doubted, first, reach_m)
+        odometry_faulty, reach_m = (
+            bool(predicted.odometry_faulty[row]),
+            float(predicted.reach_m[row]),
+        )
+        pose = localiser.locate(scan, guess, odometry_faulty, first, reach_m)
         found[row] = pose.x(), pose.y(), pose.theta()
         tell("localising", row + 1)
     return found, localiser.matches
@@ -259,12 +266,12 @@ def _scans_again(slam: Slam, messages: Iterable[Message]) -> Iterator[LaserScan]
     for message in messages:
         if row == len(stamps):
             return
-        if not isinstance(message, LaserScan) or flaw(message):
+        if not isinstance(message, LaserScan) or validate_message(message):
             continue
         if message.stamp_ns != stamps[row]:
             continue
         sweep = slam.scans.sweep(row)
-        yield message if sweep is None else unbend(message, slam.mount, sweep)
+        yield message if sweep is None else deskew(message, slam.extrinsics, sweep)
         row += 1
 
 

@@ -30,7 +30,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def worthwhile() -> int:
+def worker_count() -> int:
     """How many processes are worth their while here: one where a process cannot be copied."""
     copies = "fork" in multiprocessing.get_all_start_methods()
     return min(usable_cores(), _MOST) if copies else 1

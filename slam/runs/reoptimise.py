@@ -15,7 +15,7 @@ from slam.backend.batch import OUTLIER, BatchResult, FactorMaker, optimise
 from slam.backend.edges import Edge, capped
 from slam.backend.g2o import read_g2o, write_g2o
 from slam.logs.mcap_log import LogWriter, open_log
-from slam.logs.messages import FactorRecord, LaserMount, LaserScan, Message, TruePose
+from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan, Message, TruePose
 from slam.logs.trajectory import Trajectory, between, compose, read_tum, write_tum
 from slam.mapping.config import SlamConfig
 from slam.maps.nav2_map import write_map_png, write_nav2_map
@@ -147,8 +147,13 @@ def _edge(record: FactorRecord) -> Edge:
 def _write_graph(
     directory: Path, edges: list[Edge], result: BatchResult, maker: FactorMaker
 ) -> None:
-    believed = [e for k, e in enumerate(edges) if result.loop_weights.get(k, 1.0) >= OUTLIER]
-    write_g2o(directory / "graph.g2o", result.poses, believed, [maker.weight(e) for e in believed])
+    accepted_edges = [e for k, e in enumerate(edges) if result.loop_weights.get(k, 1.0) >= OUTLIER]
+    write_g2o(
+        directory / "graph.g2o",
+        result.poses,
+        accepted_edges,
+        [maker.weight(e) for e in accepted_edges],
+    )
 
 
 def _write_map(
@@ -156,14 +161,18 @@ def _write_map(
 ) -> None:
     """Draw the map anew from the scans that the run keeps; without any, there is none."""
     scans = [m for m in run.messages if isinstance(m, LaserScan)]
-    mounts = [m for m in run.messages if isinstance(m, LaserMount)]
+    all_extrinsics = [m for m in run.messages if isinstance(m, LaserExtrinsics)]
     rows: NDArray[np.int64] = np.searchsorted(
         trajectory.stamps_ns, [scan.stamp_ns for scan in scans]
     )
     if not scans or rows.max() >= len(trajectory.stamps_ns):
         return
-    mount = np.array([mounts[-1].x, mounts[-1].y, mounts[-1].theta]) if mounts else np.zeros(3)
-    grid = build_map(scans, compose(trajectory.poses[rows], mount), settings.map)
+    extrinsics = (
+        np.array([all_extrinsics[-1].x, all_extrinsics[-1].y, all_extrinsics[-1].theta])
+        if all_extrinsics
+        else np.zeros(3)
+    )
+    grid = build_map(scans, compose(trajectory.poses[rows], extrinsics), settings.map)
     write_nav2_map(directory, grid)
     write_map_png(directory / "map.png", grid, trajectory)
 
@@ -180,7 +189,7 @@ def _write_log(
             "config.json", settings.model_dump_json(indent=2).encode(), "application/json"
         )
         for message in run.messages:
-            if isinstance(message, (LaserScan, LaserMount, TruePose)):
+            if isinstance(message, (LaserScan, LaserExtrinsics, TruePose)):
                 log.write(message)
         for k, record in enumerate(run.records):
             used = result.loop_weights.get(k, 1.0) >= OUTLIER

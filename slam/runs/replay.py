@@ -21,11 +21,11 @@ from slam.logs.messages import Message
 from slam.logs.parts import Recording
 from slam.logs.trajectory import path_length
 from slam.mapping.config import SlamConfig
-from slam.mapping.relocalise import Past
+from slam.mapping.relocalise import PriorMap
 from slam.mapping.slam import Slam
 from slam.runs.compiling.second_process import compiled
 from slam.runs.compiling.warmup import warm_up
-from slam.runs.observer import Nobody, Watcher
+from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Progress, Result, run_offline
 from slam.runs.pacing import paced
 from slam.runs.raw_source import messages_from_raw
@@ -55,8 +55,8 @@ def replay(
     progress: Progress | None = None,
     from_raw: bool = False,
     rate: float = 0.0,
-    watcher: Watcher | None = None,
-    past: Past | None = None,
+    observer: Observer | None = None,
+    prior_map: PriorMap | None = None,
     processes: int = 1,
 ) -> dict[str, Any]:
     """Run SLAM over a log and write a RUN directory; returns its summary.
@@ -65,9 +65,9 @@ def replay(
 
     With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
     of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
-    the results are the same, and so they are with a `watcher`.  With a `past`, its map is gone on
-    with and becomes part of the new run.  Several `processes` place the scans in the end, if this
-    process has no other threads.
+    the results are the same, and so they are with an `observer`.  With a `prior_map`, its map is
+    continued and becomes part of the new run.  Several `processes` place the scans in the end,
+    if this process has no other threads.
 
     Raises:
         LogError: the log cannot be read.
@@ -92,7 +92,7 @@ def replay(
             if progress is not None:
                 progress("compiling", 0)
             warm_up(config)
-        result, timing = timed_run(source, config, progress, watcher, past, processes)
+        result, timing = timed_run(source, config, progress, observer, prior_map, processes)
         identity = {
             "source": log.name, "source_sha256": source_sha256, "version": version(),
             "config_sha256": config.sha256(), "host": platform.node(),
@@ -103,8 +103,8 @@ def replay(
         timing["stages_s"]["writing"] = round(time.perf_counter() - begin, 3)
         result.lost.update(skipped)
         summary = summarise(result, log.name, timing, config)
-        if past is not None:
-            summary["resumed_keyframes"] = len(past.keyframes)
+        if prior_map is not None:
+            summary["resumed_keyframes"] = len(prior_map.keyframes)
         summary |= {"log_sha256": source_sha256, "host": platform.node()}
         write_summary(partial, summary)
     return summary
@@ -120,26 +120,26 @@ def timed_run(
     source: Any,
     config: SlamConfig,
     progress: Progress | None,
-    watcher: Watcher | None = None,
-    past: Past | None = None,
+    observer: Observer | None = None,
+    prior_map: PriorMap | None = None,
     processes: int = 1,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
-    watch, step, looker = Stopwatch(), TimedStep(), watcher or Nobody()
+    watch, step, watching = Stopwatch(), TimedStep(), observer or NullObserver()
 
     def told(stage: str, done: float) -> None:
-        looker.stage(stage)
+        watching.stage(stage)
         if progress is not None:
             progress(stage, done)
 
     def shown(slam: Slam, message: Message) -> None:
         step(slam, message)
-        looker.show(slam, message)
+        watching.show(slam, message)
 
     wall, cpu = time.perf_counter(), _cpu_s()
-    result = run_offline(source, config, watch, told, shown, past, processes)
+    result = run_offline(source, config, watch, told, shown, prior_map, processes)
     wall, cpu = time.perf_counter() - wall, _cpu_s() - cpu
-    looker.finish(result)
+    watching.finish(result)
     stamps = result.trajectory.stamps_ns
     duration = float(stamps[-1] - stamps[0]) * 1e-9
     steps = np.array(step.milliseconds)
@@ -180,16 +180,16 @@ def summarise(
 ) -> dict[str, Any]:
     """The keys of `summary.json`."""
     slam, stamps = result.slam, result.trajectory.stamps_ns
-    verdicts = slam.loops.verdicts
-    gone = slam.records.thinned_out
-    accepted = sum(v.accepted for v in verdicts) + gone["accepted"]
-    candidates = len(verdicts) + gone["accepted"] + gone["rejected"]
+    closure_results = slam.loops.closure_results
+    gone = slam.records.pruned_counts
+    accepted = sum(v.accepted for v in closure_results) + gone["accepted"]
+    candidates = len(closure_results) + gone["accepted"] + gone["rejected"]
     peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log,
         "scans": len(stamps),
         "keyframes": len(slam.keyframes),
-        "thinned_out": gone["keyframes"],
+        "pruned": gone["keyframes"],
         "matches": slam.matches,
         "scan_matches": result.matches - slam.matches,
         "loops": {

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 from gtsam import Pose2
 
-from slam.logs.messages import KeyframeDecision, LaserMount, LaserScan, TruePose
+from slam.logs.messages import KeyframeDecision, LaserExtrinsics, LaserScan, TruePose
 from slam.logs.trajectory import path_length
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe, preparer
-from slam.mapping.relocalise import Matrix, Past
+from slam.mapping.relocalise import Matrix, PriorMap
 from slam.runs.errors import RunError
 from slam.runs.reoptimise import read_stored
 
 
-def read_past(directory: Path, config: SlamConfig, start: str = "") -> Past:
+def read_prior_map(directory: Path, config: SlamConfig, start: str = "") -> PriorMap:
     """Read a RUN to go on with; `start` is empty, `end`, or `x,y,theta` in its map (m, m, rad).
 
     Raises:
@@ -28,26 +28,26 @@ def read_past(directory: Path, config: SlamConfig, start: str = "") -> Past:
     scans = {m.stamp_ns: m for m in stored.messages if isinstance(m, LaserScan)}
     if not len(stamps) or any(int(stamp) not in scans for stamp in stamps):
         raise RunError(f"{directory}: holds no scans of its keyframes: it cannot be resumed")
-    mounts = [m for m in stored.messages if isinstance(m, LaserMount)]
-    mount = mounts[-1] if mounts else LaserMount(0, 0.0, 0.0, 0.0)
+    all_extrinsics = [m for m in stored.messages if isinstance(m, LaserExtrinsics)]
+    extrinsics = all_extrinsics[-1] if all_extrinsics else LaserExtrinsics(0, 0.0, 0.0, 0.0)
     odometry = dict(zip(stored.odometry.stamps_ns.tolist(), stored.odometry.poses, strict=True))
     travelled = path_length(stored.keyframes.poses)
     prepare = preparer(config.scan)
     keyframes = [
         Keyframe(
-            k, k, scans[stamp], mount, prepare, prepare(scans[stamp], mount).centre,
+            k, k, scans[stamp], extrinsics, prepare, prepare(scans[stamp], extrinsics).centre,
             Pose2(*odometry[stamp]), float(travelled[k]), k,
         )
         for k, stamp in enumerate(stamps.tolist())
     ]  # fmt: skip
     used = [r.used for r in stored.records]
-    return Past(
+    return PriorMap(
         keyframes,
         stored.keyframes.poses,
         [edge for edge, kept in zip(stored.edges, used, strict=True) if kept],
         [record for record, kept in zip(stored.records, used, strict=True) if kept],
         [m for m in stored.messages if isinstance(m, KeyframeDecision)],
-        mount,
+        extrinsics,
         [m for m in stored.messages if isinstance(m, TruePose)],
         _start(start, stored.keyframes.poses[-1]),
     )

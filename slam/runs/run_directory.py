@@ -105,7 +105,7 @@ def write_results(
     with LogWriter(directory / "run.mcap", identity, keep_partial=False) as log:
         log.add_attachment("config.json", config_json, "application/json")
         if write_input is None:
-            log.write(result.slam.mount)
+            log.write(result.slam.extrinsics)
             for keyframe in result.slam.keyframes:  # enough to draw the map again
                 log.write(keyframe.scan)
         else:
@@ -123,9 +123,9 @@ def write_times(path: Path, result: Result) -> None:
 
 
 def _write_decisions(log: LogWriter, result: Result) -> None:
-    records, verdicts = result.slam.records, result.slam.loops.verdicts
+    records, closure_results = result.slam.records, result.slam.loops.closure_results
     for group in (
-        result.truth, records.decisions, records.factors, verdicts, result.estimates,
+        result.truth, records.decisions, records.factors, closure_results, result.estimates,
         [result.grid],
     ):  # fmt: skip
         for message in group:

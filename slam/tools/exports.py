@@ -21,7 +21,7 @@ from slam.logs.exporters.ros2 import write_ros2
 from slam.logs.messages import Message, TruePose, WheelOdometry
 from slam.logs.parts import Recording
 from slam.logs.trajectory import Trajectory, read_tum, sorted_trajectory, write_tum
-from slam.mapping.message_checks import flaw
+from slam.mapping.message_checks import validate_message
 from slam.runs.errors import RunError
 
 LOG_POSES = {"odometry": "/odom", "truth": "/truth"}
@@ -142,7 +142,7 @@ def _export_tum(source: Path, log: Path, targets: Targets, done: Exported) -> No
     stamps, rows = [], []
     for _, message in _logged(log, (LOG_POSES[poses],), done):
         if isinstance(message, WheelOdometry | TruePose):
-            if cause := flaw(message):
+            if cause := validate_message(message):
                 done.lost[cause] = done.lost.get(cause, 0) + 1
                 continue
             stamps.append(message.stamp_ns)

@@ -8,7 +8,7 @@ from slam.logs.messages import Message
 from slam.mapping.slam import Slam
 
 
-class News:
+class EventCursor:
     """Remembers how many decisions, factors, verdicts and estimates are known."""
 
     def __init__(self) -> None:
@@ -20,10 +20,10 @@ class News:
         """The records that are new."""
         records = slam.records
         kept: tuple[Sequence[Message], ...] = (
-            records.decisions, records.factors, slam.loops.verdicts, records.estimates
+            records.decisions, records.factors, slam.loops.closure_results, records.estimates
         )  # fmt: skip
-        if records.thinned_out["keyframes"] != self._thinned_out:  # old ones have gone, too
-            self._thinned_out = records.thinned_out["keyframes"]
+        if records.pruned_counts["keyframes"] != self._thinned_out:  # old ones have gone, too
+            self._thinned_out = records.pruned_counts["keyframes"]
             self._known = [sum(r.stamp_ns <= self._last_ns for r in group) for group in kept]
         if records.decisions:
             self._last_ns = records.decisions[-1].stamp_ns

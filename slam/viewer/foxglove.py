@@ -21,7 +21,7 @@ from slam.logs.trajectory import compose
 from slam.mapping.slam import Slam
 from slam.maps.occupancy import build_map
 from slam.runs.errors import ViewError
-from slam.viewer.event_cursor import News
+from slam.viewer.event_cursor import EventCursor
 from slam.viewer.snapshot import Snapshot, View
 
 PORT = 8765  # where Foxglove looks by itself
@@ -40,7 +40,7 @@ class FoxgloveServer:
         """Port 0 takes any free one."""
         self.port = port
         self._waiting: deque[Message] = deque(maxlen=_MOST_WAITING)
-        self._news = News()
+        self._news = EventCursor()
         self._view = View("starting")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="foxglove", daemon=True)
@@ -124,7 +124,7 @@ class FoxgloveServer:
         stamp = snapshot.scan.stamp_ns
         robot = encode_transform(stamp, "map", "base", *snapshot.pose)
         self._channels["/tf"].log(robot, log_time=stamp)
-        self._channels["/tf"].log(encode(snapshot.mount), log_time=stamp)
+        self._channels["/tf"].log(encode(snapshot.extrinsics), log_time=stamp)
 
     def _send_map(self, view: View, snapshot: Snapshot) -> None:
         begin = time.monotonic()
@@ -132,9 +132,11 @@ class FoxgloveServer:
             self._map = self._grid = view.grid
         elif len(snapshot.keyframes) != self._drawn:
             self._drawn = len(snapshot.keyframes)
-            mount = np.array([snapshot.mount.x, snapshot.mount.y, snapshot.mount.theta])
+            extrinsics = np.array(
+                [snapshot.extrinsics.x, snapshot.extrinsics.y, snapshot.extrinsics.theta]
+            )
             scans = [keyframe.scan for keyframe in snapshot.keyframes]
-            self._map = build_map(scans, compose(snapshot.poses, mount), snapshot.map_config)
+            self._map = build_map(scans, compose(snapshot.poses, extrinsics), snapshot.map_config)
         now = time.monotonic()
         self._map_due = now + max(_MAP_S, 10.0 * (now - begin))
         if self._map is not None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.logs.messages import KeyframeDecision, LaserScan, LoopVerdict
+from slam.logs.messages import KeyframeDecision, LaserScan, LoopResult
 from slam.mapping.keyframe import Keyframe
 from slam.runs.status import Status
 from slam.viewer.snapshot import Snapshot, View
@@ -32,16 +32,16 @@ class Feed:
 
     def __init__(self) -> None:
         self._poses = np.zeros((0, 3), dtype=np.float32)
-        self._verdicts: tuple[LoopVerdict, ...] = ()
+        self._verdicts: tuple[LoopResult, ...] = ()
         self._thinned_out = 0
         self._greeted = False
 
     def frames(self, view: View) -> Iterator[str]:
         """Yield what brings the page up to date."""
         snapshot = view.snapshot
-        if snapshot is not None and snapshot.thinned_out != self._thinned_out:
+        if snapshot is not None and snapshot.pruned_counts != self._thinned_out:
             self._poses, self._verdicts = self._poses[:0], ()
-            self._thinned_out, self._greeted = snapshot.thinned_out, False
+            self._thinned_out, self._greeted = snapshot.pruned_counts, False
         if not self._greeted:
             self._greeted = True
             yield _json({"type": "hello"})
@@ -60,7 +60,11 @@ class Feed:
                 {
                     "type": "keyframes",
                     "first": first,
-                    "mount": [snapshot.mount.x, snapshot.mount.y, snapshot.mount.theta],
+                    "mount": [
+                        snapshot.extrinsics.x,
+                        snapshot.extrinsics.y,
+                        snapshot.extrinsics.theta,
+                    ],
                     "poses": _base64(poses[rows]),
                     "items": [
                         _keyframe(keyframe, decision)
@@ -87,7 +91,7 @@ class Feed:
             )
 
     def _new_verdicts(self, snapshot: Snapshot) -> Iterator[str]:
-        known, now = self._verdicts, snapshot.verdicts
+        known, now = self._verdicts, snapshot.closure_results
         same = len(known) <= len(now) and all(a is b for a, b in zip(known, now, strict=False))
         first = len(known) if same else 0  # the end of a run may withdraw some
         self._verdicts = now

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from slam.logs.messages import KeyframeDecision, LaserMount, LaserScan, LoopVerdict, OccupancyMap
+from slam.logs.messages import (
+    KeyframeDecision,
+    LaserExtrinsics,
+    LaserScan,
+    LoopResult,
+    OccupancyMap,
+)
 from slam.logs.trajectory import Poses
 from slam.mapping.keyframe import Keyframe
 from slam.mapping.slam import Slam
@@ -18,12 +24,12 @@ from slam.runs.status import Status
 class Snapshot:
     """The state of a run; poses are map_T_base."""
 
-    mount: LaserMount
+    extrinsics: LaserExtrinsics
     keyframes: tuple[Keyframe, ...]
-    thinned_out: int  # keyframes that there were besides; as it grows, the others' indices change
+    pruned_counts: int  # keyframes that there were besides; as it grows, the others' indices change
     poses: Poses  # (n, 3) of the keyframes
     decisions: tuple[KeyframeDecision, ...]
-    verdicts: tuple[LoopVerdict, ...]
+    closure_results: tuple[LoopResult, ...]
     scan: LaserScan | None  # the newest one that is placed
     pose: tuple[float, float, float]  # at that scan
     covariance: tuple[float, ...]  # of the last keyframe's pose, in its frame; empty if unknown
@@ -43,13 +49,13 @@ def take(slam: Slam) -> Snapshot | None:
     pose = slam.graph.pose(last.index) * last.odom_T_base.between(slam.scans.last_odometry)
     estimate = slam.records.estimates[-1] if slam.records.estimates else None
     return Snapshot(
-        mount=slam.mount,
+        extrinsics=slam.extrinsics,
         keyframes=tuple(slam.keyframes),
-        thinned_out=slam.records.thinned_out["keyframes"],
+        pruned_counts=slam.records.pruned_counts["keyframes"],
         poses=slam.graph.poses.copy(),
         decisions=tuple(slam.records.decisions),
-        verdicts=tuple(slam.loops.verdicts),
-        scan=None if slam.lost_in_the_past else slam.latest_scan,
+        closure_results=tuple(slam.loops.closure_results),
+        scan=None if slam.not_relocalised else slam.latest_scan,
         pose=(pose.x(), pose.y(), pose.theta()),
         covariance=estimate.covariance if estimate else (),
         lost=estimate.lost if estimate else False,
@@ -66,12 +72,12 @@ def take_result(result: Result) -> Snapshot:
     slam, estimate = result.slam, result.estimates[-1]
     x, y, theta = (float(v) for v in result.trajectory.poses[-1])
     return Snapshot(
-        mount=slam.mount,
+        extrinsics=slam.extrinsics,
         keyframes=tuple(slam.keyframes),
-        thinned_out=slam.records.thinned_out["keyframes"],
+        pruned_counts=slam.records.pruned_counts["keyframes"],
         poses=result.keyframes.poses.copy(),
         decisions=tuple(slam.records.decisions),
-        verdicts=tuple(slam.loops.verdicts),
+        closure_results=tuple(slam.loops.closure_results),
         scan=slam.latest_scan,
         pose=(x, y, theta),
         covariance=estimate.covariance,

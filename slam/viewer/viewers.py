@@ -55,7 +55,7 @@ class Stream(Protocol):
 
 
 class Viewers:
-    """A `Watcher` that takes a snapshot ten times a second and leaves it where servers find it."""
+    """A `Observer` that takes a snapshot ten times a second and leaves it where servers find it."""
 
     def __init__(self) -> None:
         self.seconds = 0.0  # that the pipeline's thread has spent here

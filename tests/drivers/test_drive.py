@@ -17,7 +17,7 @@ from slam.drivers.simulators.path import Leg
 from slam.drivers.simulators.robot import ODOMETRY_NOISE, drive
 from slam.drivers.simulators.world import World
 from slam.drivers.simulators.worlds import Scenario, scenario
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
 # Ahead for 3 m, back for 2 m: long enough for every fault, short enough for many drives.
 SHUTTLE = Scenario(
@@ -49,7 +49,7 @@ def poses(messages):
 
 def test_messages_are_in_order_and_every_scan_has_its_truth_and_odometry():
     messages = list(simulate(SHUTTLE, LASERS["utm-30lx"]))
-    assert isinstance(messages[0], LaserMount)
+    assert isinstance(messages[0], LaserExtrinsics)
     assert messages[0].x == BASE_T_LASER.x()
     assert messages[0].stamp_ns == messages[1].stamp_ns == EPOCH_NS
     assert all(a.stamp_ns <= b.stamp_ns for a, b in pairwise(messages))
@@ -94,10 +94,10 @@ def test_perfect_wheels_agree_with_the_truth():
 
 def test_scans_are_taken_from_the_laser_not_from_the_base():
     quiet = replace(LASERS["hokuyo-181"], sigma=0.0, quantum=0.0)
-    mount = Pose2(0.2, 0.1, 0.3)
-    messages = list(simulate(SHUTTLE, quiet, base_T_laser=mount))
+    extrinsics = Pose2(0.2, 0.1, 0.3)
+    messages = list(simulate(SHUTTLE, quiet, base_T_laser=extrinsics))
     true, scan = of(TruePose, messages)[70], of(LaserScan, messages)[70]
-    laser = Pose2(true.x, true.y, true.theta) * mount
+    laser = Pose2(true.x, true.y, true.theta) * extrinsics
     np.testing.assert_allclose(
         scan.ranges, SHUTTLE.world.cast(laser, quiet.bearings, 30.0), rtol=1e-6
     )
@@ -106,9 +106,9 @@ def test_scans_are_taken_from_the_laser_not_from_the_base():
 def test_a_slow_sweep_is_bent_by_motion_and_by_nothing_else():
     still = replace(LASERS["hokuyo-181"], sigma=0.0, quantum=0.0)
     slow = replace(still, beam_period_s=0.0005)
-    mount = Pose2(0.2, 0.1, 0.3)
+    extrinsics = Pose2(0.2, 0.1, 0.3)
     straight, bent = (
-        of(LaserScan, simulate(SHUTTLE, laser, base_T_laser=mount)) for laser in (still, slow)
+        of(LaserScan, simulate(SHUTTLE, laser, base_T_laser=extrinsics)) for laser in (still, slow)
     )
     np.testing.assert_allclose(straight[0].ranges, bent[0].ranges, rtol=1e-6)  # at rest
     apart = np.abs(straight[35].ranges - bent[35].ranges)  # at about 0.6 m/s

@@ -9,9 +9,9 @@ from slam.drivers.simulators.world import World
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 
-CENTRED = LaserMount(0, 0.0, 0.0, 0.0)
+CENTRED = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 SCAN = ScanConfig()
 HOKUYO = LASERS["hokuyo-181"]
 FINE = LASERS["utm-30lx"]
@@ -33,11 +33,11 @@ ENDLESS = World(np.array([[-90.0, 1.0, 90.0, 1.0], [-90.0, -1.0, 90.0, -1.0]]))
 SIGMAS = np.array([0.05, 0.05, 0.03])  # m, m, rad
 
 
-def see(pose, laser=HOKUYO, seed=0, world=BUILDING, mount=CENTRED):
+def see(pose, laser=HOKUYO, seed=0, world=BUILDING, extrinsics=CENTRED):
     """A prepared scan from a pose of the base."""
-    base_T_laser = Pose2(mount.x, mount.y, mount.theta)
+    base_T_laser = Pose2(extrinsics.x, extrinsics.y, extrinsics.theta)
     return prepare(
-        take_scan(world, pose * base_T_laser, laser, np.random.default_rng(seed)), mount, SCAN
+        take_scan(world, pose * base_T_laser, laser, np.random.default_rng(seed)), extrinsics, SCAN
     )
 
 

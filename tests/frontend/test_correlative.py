@@ -19,7 +19,7 @@ from slam.frontend.correlative import (
     thin,
 )
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 
 APART = 0.35  # m
 
@@ -122,8 +122,8 @@ def test_a_scan_is_found_again_where_it_was_taken():
     laser, rng = LASERS["hokuyo-181"], np.random.default_rng(2)
 
     def cloud(pose):
-        mount = LaserMount(0, 0.0, 0.0, 0.0)
-        points = prepare(take_scan(world, pose, laser, rng), mount, ScanConfig()).points
+        extrinsics = LaserExtrinsics(0, 0.0, 0.0, 0.0)
+        points = prepare(take_scan(world, pose, laser, rng), extrinsics, ScanConfig()).points
         return points[np.isfinite(points[:, 0])]
 
     map_T_old, map_T_new = Pose2(0.0, 0.0, 0.2), Pose2(0.8, 0.5, 0.5)

@@ -5,11 +5,11 @@ import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.laser import LaserConfig, take_moving_scan, take_scan
 from slam.drivers.simulators.world import World
-from slam.frontend.deskew import sweep_ns, unbend
-from slam.logs.messages import LaserMount
+from slam.frontend.deskew import deskew, sweep_ns
+from slam.logs.messages import LaserExtrinsics
 
 ROOM = World.from_polygon([(-3, -2), (6, -2), (6, 2), (2, 2), (2, 3), (-3, 3)])
-MOUNT = LaserMount(0, 0.16, 0.05, 0.1)
+MOUNT = LaserExtrinsics(0, 0.16, 0.05, 0.1)
 STEP_S = 0.025 / 1440
 
 
@@ -35,7 +35,7 @@ def both(twist, step=0.25, sigma=0.0):
 @pytest.mark.parametrize("twist", [(1.5, 0, 0), (0, 0, 2.0), (0.8, 0, -1.5), (-1.0, 0, 3.0)])
 def test_a_scan_on_the_move_becomes_one_at_rest(twist):
     moving, resting, moved = both(twist)
-    straight = unbend(moving, MOUNT, moved)
+    straight = deskew(moving, MOUNT, moved)
     before = np.abs(moving.ranges - resting.ranges)
     after = np.abs(straight.ranges - resting.ranges)
     seen = np.isfinite(after)
@@ -46,7 +46,7 @@ def test_a_scan_on_the_move_becomes_one_at_rest(twist):
 
 def test_a_robot_that_stands_changes_nothing():
     moving, _, _ = both((0, 0, 0))
-    assert unbend(moving, MOUNT, (0.0, 0.0, 0.0)) is moving
+    assert deskew(moving, MOUNT, (0.0, 0.0, 0.0)) is moving
 
 
 def test_no_reading_is_made_up_where_none_was():
@@ -54,7 +54,7 @@ def test_no_reading_is_made_up_where_none_was():
     ranges = moving.ranges.copy()
     ranges[200:400], ranges[600:700] = np.inf, np.nan
     holes = type(moving)(0, moving.angle_min, moving.angle_step, ranges, beam_period_s=STEP_S)
-    found = unbend(holes, MOUNT, moved).ranges
+    found = deskew(holes, MOUNT, moved).ranges
     assert abs(np.isinf(found).sum() - 200) <= 2
     assert np.isinf(found[210:390]).all()
     assert np.isnan(found[610:690]).all()
@@ -62,7 +62,7 @@ def test_no_reading_is_made_up_where_none_was():
 
 def test_edges_are_not_bridged():
     moving, resting, moved = both((0.3, 0, 2.0))
-    found = unbend(moving, MOUNT, moved).ranges
+    found = deskew(moving, MOUNT, moved).ranges
     true = np.sort(resting.ranges)
     nearest = np.abs(true[np.clip(np.searchsorted(true, found), 1, 1080)] - found)
     assert np.nanmax(nearest) < 0.1  # a bridge over the jump behind the corner has all of 0.5 m

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from slam.frontend import covariance_kernels, icp_kernels, scan_kernels
 from slam.frontend.compiled import kernel
 from slam.frontend.scan import LINE, prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 from tests.conftest import stale
 from tests.frontend.scans import CENTRED, SCAN
@@ -19,7 +19,7 @@ finite = st.floats(-8, 8)
 # Parts are compiled into the kernels that call them; here each is a kernel of its own.
 combine = kernel(covariance_kernels.combine.py_func)
 invert3 = kernel(covariance_kernels.invert3.py_func)
-weakest_axis = kernel(covariance_kernels.weakest_axis.py_func)
+weakest_direction = kernel(covariance_kernels.weakest_direction.py_func)
 bearing_of = kernel(icp_kernels.bearing_of.py_func)
 eigen2 = kernel(icp_kernels.eigen2.py_func)
 nearest_beam = kernel(icp_kernels.nearest_beam.py_func)
@@ -39,8 +39,8 @@ def fields(draw):
     if draw(st.booleans()):  # walls instead of confetti
         ranges = (2 + np.cumsum(rng.normal(0, 0.05, n))).clip(0.1).astype(np.float32)
     ranges[rng.random(n) < draw(st.sampled_from([0.0, 0.2, 0.9]))] = np.nan
-    mount = LaserMount(0, draw(finite) * 0.1, draw(finite) * 0.1, draw(st.floats(-3, 3)))
-    return prepare(LaserScan(0, draw(st.floats(-7, 7)), step, ranges, 0.02, 30.0), mount, SCAN)
+    extrinsics = LaserExtrinsics(0, draw(finite) * 0.1, draw(finite) * 0.1, draw(st.floats(-3, 3)))
+    return prepare(LaserScan(0, draw(st.floats(-7, 7)), step, ranges, 0.02, 30.0), extrinsics, SCAN)
 
 
 @settings(deadline=None, max_examples=400)
@@ -114,9 +114,9 @@ def test_eigen2_names_the_direction_of_the_smaller_eigenvalue(low, extra, angle)
 
 def test_the_weakest_axis_is_measured_against_what_is_known():
     information = np.diag([100.0, 1e6, 1e6])  # sigma of 0.1 m along x
-    angle, weakness = weakest_axis(information, np.diag([0.05, 0.05, 0.02]) ** 2)
+    angle, condition_ratio = weakest_direction(information, np.diag([0.05, 0.05, 0.02]) ** 2)
     assert abs(np.sin(angle)) < 1e-9
-    assert weakness == pytest.approx(2.0)
+    assert condition_ratio == pytest.approx(2.0)
 
 
 def test_information_adds_up():

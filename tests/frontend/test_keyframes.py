@@ -10,9 +10,9 @@ from slam.drivers.simulators.laser import LASERS, take_scan
 from slam.drivers.simulators.world import World
 from slam.frontend.keyframes import Interval, KeyframeConfig, interval_after, reason_to_keep
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 
-MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 PLAIN = World(np.array([[-20.0, 1.5, 20.0, 1.5], [-20.0, -1.5, 20.0, -1.5]]))
 ONE_WALL = World(PLAIN.segments[:1])
 GLASS = World(PLAIN.segments[:1], panes=PLAIN.segments[1:])
@@ -120,6 +120,6 @@ def test_limits_must_be_in_order(settings, message):
 
 def test_an_open_chain_is_built_with_more_care():
     closed = KeyframeConfig()
-    assert closed.open.slack < closed.slack
+    assert closed.open.tolerance < closed.tolerance
     assert closed.open.widest < closed.widest
     assert closed.open.open == closed.open

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.worlds import scenario
-from slam.frontend.loop_axes import seen_from_both_sides, weak_axis, without_blind_axis
+from slam.frontend.loop_axes import degenerate_direction, seen_from_both_sides, without_blind_axis
 
 from tests.frontend.scans import (
     ALL_ROUND,
@@ -36,11 +36,11 @@ def test_a_plain_corridor_says_nothing_along_itself():
     before, after, predicted = closed(
         Pose2(), Pose2(1.0, 0.2, 0.1), ENDLESS, off=(0.25, 0.0, 0.0), laser=FINE
     )
-    axis, weak, _ = weak_axis(after.information)
+    axis, weak, _ = degenerate_direction(after.information)
     assert weak > 1e3
     along = after.target_T_source.rotation().matrix() @ axis
     assert abs(along[0]) > 0.999
-    assert after.weak_axis is not None
+    assert after.degenerate_direction is not None
     # Along the walls the prediction counts, across them and for the heading the match.
     assert after.target_T_source.x() == pytest.approx(predicted.x(), abs=0.01)
     assert after.target_T_source.y() == pytest.approx(before.target_T_source.y(), abs=0.005)
@@ -49,8 +49,8 @@ def test_a_plain_corridor_says_nothing_along_itself():
 
 def test_what_is_known_across_and_of_the_heading_stays():
     before, after, _ = closed(THERE, BACK, LADDER)
-    along, _, strong = weak_axis(before.information)
-    kept_along, _, kept_strong = weak_axis(after.information)
+    along, _, strong = degenerate_direction(before.information)
+    kept_along, _, kept_strong = degenerate_direction(after.information)
     assert abs(along @ kept_along) == pytest.approx(1.0)
     assert kept_strong == pytest.approx(strong)
     assert after.information[2, 2] == before.information[2, 2]
@@ -59,7 +59,7 @@ def test_what_is_known_across_and_of_the_heading_stays():
 
 def test_recesses_seen_from_both_sides_do_not_tell_how_far():
     _, after, _ = closed(THERE, BACK, LADDER)
-    assert weak_axis(after.information)[1] > 1.0
+    assert degenerate_direction(after.information)[1] > 1.0
 
 
 @pytest.mark.parametrize("laser", [HOKUYO, ALL_ROUND])

@@ -11,7 +11,7 @@ from slam.drivers.simulators.laser import LaserConfig
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 from slam.mapping.registration import disagreement
 from tests.frontend.scans import (
@@ -52,8 +52,11 @@ def test_without_noise_the_error_is_a_fraction_of_a_millimetre(motion):
 
 
 def test_a_laser_off_the_middle_gives_the_motion_of_the_base():
-    mount, motion = LaserMount(0, 0.2, -0.05, 0.4), Pose2(0.25, 0.0, 0.3)
-    target, source = see(START, seed=1, mount=mount), see(START * motion, seed=2, mount=mount)
+    extrinsics, motion = LaserExtrinsics(0, 0.2, -0.05, 0.4), Pose2(0.25, 0.0, 0.3)
+    target, source = (
+        see(START, seed=1, extrinsics=extrinsics),
+        see(START * motion, seed=2, extrinsics=extrinsics),
+    )
     assert np.abs(error_of(match_one(target, source, Pose2(0.2, 0, 0.2)), motion)).max() < 0.01
 
 
@@ -182,9 +185,9 @@ class TestDegeneracy:
     def test_the_weak_axis_lies_along_a_plain_corridor(self):
         result, _, axis, _ = self.corridor_match()
         assert result.converged
-        assert result.weak_axis is not None
-        assert result.weakness > 5
-        apart = (result.weak_axis + axis + np.pi / 2) % np.pi - np.pi / 2
+        assert result.degenerate_direction is not None
+        assert result.condition_ratio > 5
+        apart = (result.degenerate_direction + axis + np.pi / 2) % np.pi - np.pi / 2
         assert abs(apart) < np.radians(3)
 
     def test_along_the_corridor_the_prior_is_kept_with_its_error_and_its_sigma(self):
@@ -204,8 +207,8 @@ class TestDegeneracy:
         result = match_one(
             see(START, seed=1), see(START * motion, seed=2), motion, prior_at(motion)
         )
-        assert result.weak_axis is None
-        assert result.weakness < 0.2
+        assert result.degenerate_direction is None
+        assert result.condition_ratio < 0.2
 
 
 class TestAgainstOdometry:
@@ -267,7 +270,7 @@ def test_two_processes_give_equal_bits():
 
 def fingerprint(result):
     pose = result.target_T_source
-    numbers = [pose.x(), pose.y(), pose.theta(), *result.covariance.ravel(), result.quality]
+    numbers = [pose.x(), pose.y(), pose.theta(), *result.covariance.ravel(), result.inlier_fraction]
     return " ".join(float(number).hex() for number in numbers)
 
 

@@ -102,7 +102,7 @@ def test_one_end_wall_is_proof_enough():
     target, source = see(Pose2(), seed=1, world=world), see(MOTION, seed=2, world=world)
     off = MOTION * Pose2(0.15, 0.0, 0.0)
     result = match_one(target, source, off, prior_at(off, [0.1, 0.03, 0.02]))
-    assert result.weak_axis is None
+    assert result.degenerate_direction is None
     assert result.sigmas[0] < 0.004
     assert abs(error_of(result, MOTION)[0]) < 3.0 * result.sigmas[0]
 

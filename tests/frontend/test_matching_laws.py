@@ -13,7 +13,7 @@ from slam.frontend.icp_kernels import COST, PAIRS, SYSTEM
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
 from tests.frontend.scans import (
     ALL_ROUND,
@@ -50,7 +50,7 @@ def test_there_and_back_is_nowhere(motion, seed):
 def test_a_common_rotation_of_both_scans_turns_the_result(motion, turn, seed):
     """A laser mounted at an angle: the same beams in a turned base frame."""
     a, b = see(START, seed=seed), see(START * motion, seed=seed + 1)
-    turned = LaserMount(0, 0.0, 0.0, turn)
+    turned = LaserExtrinsics(0, 0.0, 0.0, turn)
     straight = match_one(a, b, motion)
     frame = Pose2(0.0, 0.0, turn)
     scans = [_remounted(scan, turned) for scan in (a, b)]
@@ -156,8 +156,8 @@ def _raw(scan):
     return LaserScan(0, angle_min, step, np.array(scan.ranges, np.float32), 0.02, 30.0)
 
 
-def _remounted(scan, mount):
-    return prepare(_raw(scan), mount, SCAN)
+def _remounted(scan, extrinsics):
+    return prepare(_raw(scan), extrinsics, SCAN)
 
 
 def _mirrored(scan):

@@ -11,9 +11,9 @@ from hypothesis.extra import numpy as npst
 from slam.drivers.simulators.laser import LASERS, LaserConfig, take_scan
 from slam.drivers.simulators.world import World
 from slam.frontend.scan import LINE, VALID, ScanConfig, prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 
-CENTRED = LaserMount(0, 0.0, 0.0, 0.0)
+CENTRED = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 ROOM = World.from_polygon([(-3, -2), (5, -2), (5, 3), (-3, 3)])
 QUIET = replace(LASERS["hokuyo-181"], sigma=0.0, quantum=0.0)
 CONFIG = ScanConfig()
@@ -37,9 +37,9 @@ def test_points_lie_where_the_beams_end():
 
 def test_points_are_given_in_the_base_frame():
     base_T_laser = Pose2(0.2, -0.1, 0.4)
-    mount = LaserMount(0, base_T_laser.x(), base_T_laser.y(), base_T_laser.theta())
+    extrinsics = LaserExtrinsics(0, base_T_laser.x(), base_T_laser.y(), base_T_laser.theta())
     scan = scan_of()
-    plain, mounted = prepare(scan, CENTRED, CONFIG), prepare(scan, mount, CONFIG)
+    plain, mounted = prepare(scan, CENTRED, CONFIG), prepare(scan, extrinsics, CONFIG)
     expected = base_T_laser.transformFrom(np.asfortranarray(plain.points.T)).T
     np.testing.assert_allclose(mounted.points, expected, atol=1e-9)
     np.testing.assert_allclose(mounted.ranges, plain.ranges, atol=1e-9)

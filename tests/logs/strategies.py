@@ -12,10 +12,10 @@ from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
     KeyframeDecision,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
-    LoopVerdict,
+    LoopResult,
     OccupancyMap,
     PoseEstimate,
     RawBytes,
@@ -50,7 +50,7 @@ planar = (stamps, numbers, numbers, numbers)
 messages = st.one_of(
     scans,
     st.builds(WheelOdometry, *planar),
-    st.builds(LaserMount, *planar),
+    st.builds(LaserExtrinsics, *planar),
     st.builds(TruePose, *planar),
     st.builds(
         RawBytes, stamps, st.sampled_from(["p3dx", "laser"]), st.sampled_from(["rx", "tx"]),
@@ -66,7 +66,7 @@ messages = st.one_of(
         integers, numbers, numbers, numbers, nine, st.booleans(), texts,
     ),
     st.builds(
-        LoopVerdict, stamps, integers, integers, st.booleans(), texts, numbers, numbers, numbers
+        LoopResult, stamps, integers, integers, st.booleans(), texts, numbers, numbers, numbers
     ),
     st.builds(
         LogLine, stamps, st.sampled_from(["debug", "info", "warning", "error", "fatal"]), texts,

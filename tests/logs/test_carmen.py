@@ -16,7 +16,7 @@ from slam.logs.importers.carmen import read_carmen
 from slam.logs.importers.carmen_lines import SENTINEL_M, parse_stamp
 from slam.logs.importers.detect import read_any
 from slam.logs.importers.imported import ImportedLog
-from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
 from tests.logs.strategies import content
 
@@ -46,7 +46,7 @@ def scans_of(log: ImportedLog) -> list[LaserScan]:
 def test_mount_then_odometry_and_scan_of_one_stamp(tmp_path: Path):
     log = read(tmp_path, "# a comment\n", flaser("1.5"), flaser("1.75", robot="3 4 1"))
     kinds = [type(m) for m in log.messages]
-    assert kinds == [LaserMount, WheelOdometry, LaserScan, WheelOdometry, LaserScan]
+    assert kinds == [LaserExtrinsics, WheelOdometry, LaserScan, WheelOdometry, LaserScan]
     assert [m.stamp_ns for m in log.messages] == [1_500_000_000] * 3 + [1_750_000_000] * 2
     assert log.messages[1] == WheelOdometry(1_500_000_000, 1.0, 2.0, 0.5)
     assert not log.skipped
@@ -144,9 +144,9 @@ def test_robotlaser_brings_its_own_geometry(tmp_path: Path):
     (scan,) = scans_of(log)
     assert (scan.angle_min, scan.angle_step, scan.stamp_ns) == (-2.0, 0.25, 7_250_000_000)
     assert scan.ranges.tolist() == [1.0, np.inf, 5.5, 2.0]
-    mount = log.messages[0]
-    assert isinstance(mount, LaserMount)
-    assert (mount.x, mount.y) == (pytest.approx(0.1), 0.0)
+    extrinsics = log.messages[0]
+    assert isinstance(extrinsics, LaserExtrinsics)
+    assert (extrinsics.x, extrinsics.y) == (pytest.approx(0.1), 0.0)
     assert log.messages[1] == WheelOdometry(7_250_000_000, 1.0, 2.0, 0.0)
 
 
@@ -154,8 +154,10 @@ def test_the_mount_comes_from_poses_or_parameters(tmp_path: Path):
     offset = "PARAM robot_frontlaser_offset -0.04 nohost 0\n"
     turned = flaser(laser="1 2.3 1.5", robot="1 2 1.5707963267948966")
     assert read(tmp_path, offset, flaser()).messages[0].x == -0.04
-    mount = read(tmp_path, offset, turned).messages[0]
-    assert (mount.x, mount.y, mount.theta) == pytest.approx((0.3, 0.0, 1.5 - math.pi / 2))
+    extrinsics = read(tmp_path, offset, turned).messages[0]
+    assert (extrinsics.x, extrinsics.y, extrinsics.theta) == pytest.approx(
+        (0.3, 0.0, 1.5 - math.pi / 2)
+    )
     loose = read(tmp_path, flaser(laser="1 2 0"), flaser("2.0", laser="1.5 2 0"))
     assert (loose.messages[0].x, loose.messages[0].y) == (0.0, 0.0)
     assert any("not rigid" in cause for cause in loose.changed)
@@ -206,9 +208,9 @@ def carmen_scans(draw, stamp_ns: int) -> LaserScan:
 
 @st.composite
 def carmen_logs(draw):
-    mount = tuple(draw(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3))))
+    extrinsics = tuple(draw(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3))))
     stamps = sorted(draw(st.sets(st.integers(0, 2**33 * 10**9 - 1), min_size=1, max_size=5)))
-    messages = [LaserMount(stamps[0], *mount)]
+    messages = [LaserExtrinsics(stamps[0], *extrinsics)]
     for stamp in stamps:
         pose = draw(st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-3, 3)))
         messages += [WheelOdometry(stamp, *pose), draw(carmen_scans(stamp))]
@@ -224,8 +226,8 @@ def test_export_then_import_is_exact(messages):
         log = read_any(path)
     assert written == len(scans_of(log))
     assert not log.skipped
-    mount, *rest = log.messages
-    assert mount == messages[0]
+    extrinsics, *rest = log.messages
+    assert extrinsics == messages[0]
     assert list(map(without_reach, rest)) == list(map(without_reach, messages[1:]))
 
 

@@ -9,7 +9,7 @@ from slam.logs.errors import LogError
 from slam.logs.exporters.csv import write_csv
 from slam.logs.messages import (
     LaserScan,
-    LoopVerdict,
+    LoopResult,
     OccupancyMap,
     PoseEstimate,
     RawBytes,
@@ -29,7 +29,7 @@ def test_one_table_a_topic_and_numbers_that_read_back(tmp_path: Path):
         (None, LaserScan(6, -1.5, 0.1, ranges)),
         (None, PoseEstimate(6, 0.0, 0.0, 0.0, (0.1,) * 9)),
         (None, RawBytes(6, "laser", "rx", b"\x00\xff")),
-        (None, LoopVerdict(6, 1, 2, False, '=HYPERLINK("x")\n,', 0.5, 0.1, 3.0)),
+        (None, LoopResult(6, 1, 2, False, '=HYPERLINK("x")\n,', 0.5, 0.1, 3.0)),
         (None, OccupancyMap(6, 0.1, 0.0, 0.0, np.zeros((2, 2), np.int8))),
     ]
     counts = write_csv(tmp_path / "out", messages)

@@ -12,7 +12,7 @@ from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.doctor import Diagnosis, Examination, diagnose
 from slam.logs.mcap_log import LogWriter
-from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 
 START = 1_700_000_000_000_000_000
 S = 1_000_000_000
@@ -31,7 +31,7 @@ def odometry(stamp_ns: int, x: float = 0.0, theta: float = 0.0) -> WheelOdometry
 
 def drive(n: int = 100) -> list[Message]:
     """Return a sound drive: 0.3 m/s, both sensors at 10 Hz."""
-    messages: list[Message] = [LaserMount(START, 0.1, 0.0, 0.0)]
+    messages: list[Message] = [LaserExtrinsics(START, 0.1, 0.0, 0.0)]
     for k in range(n):
         stamp = START + k * S // 10
         messages += [odometry(stamp, 0.03 * k), scan(stamp)]
@@ -118,7 +118,7 @@ def test_changes_of_the_beams_and_two_lasers_on_one_channel():
         for k, m in enumerate(messages)
     ]
     assert codes(rear)["two-lasers"][0] == "error"
-    mounts = [*messages, LaserMount(START, -0.1, 0.0, 3.14)]
+    mounts = [*messages, LaserExtrinsics(START, -0.1, 0.0, 3.14)]
     assert codes(mounts) == {"mount-changes": ("error", 1)}
 
 
@@ -181,7 +181,7 @@ def test_odometry():
 
 def test_the_mount():
     assert codes(drive()[1:]) == {"no-mount": ("warning", 1)}
-    assert codes([*drive()[1:], LaserMount(START, 145.0, 0.0, 0.0)]) == {
+    assert codes([*drive()[1:], LaserExtrinsics(START, 145.0, 0.0, 0.0)]) == {
         "mount-far": ("warning", 1)
     }
 

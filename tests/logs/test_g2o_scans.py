@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from slam.logs.errors import LogError
 from slam.logs.importers.detect import read_any
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
 
 def scan_line(stamp: float, first: float = 1.0) -> str:
@@ -35,7 +35,7 @@ EDGE_SE2 1 x
 def check(log) -> None:
     assert log.kind == "g2o with scans"
     assert [type(m) for m in log.messages] == [
-        LaserMount,
+        LaserExtrinsics,
         *[WheelOdometry, TruePose, LaserScan] * 3,
     ]
     odometry = [m for m in log.messages if isinstance(m, WheelOdometry)]

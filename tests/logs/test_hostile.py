@@ -17,7 +17,7 @@ from slam.logs.errors import LogError, shown
 from slam.logs.info import read_info
 from slam.logs.mcap_file import MAGIC
 from slam.logs.mcap_log import LogWriter, open_log
-from slam.logs.messages import LaserScan, LoopVerdict, WheelOdometry
+from slam.logs.messages import LaserScan, LoopResult, WheelOdometry
 from slam.logs.protos import descriptor_set
 from slam.logs.recover import recover
 from slam.logs.schemas import encode
@@ -116,10 +116,10 @@ def test_control_characters_and_markup_are_data_and_never_shown_raw(tmp_path: Pa
     with LogWriter(tmp_path / "a.mcap", {"robot": evil}) as log:
         log.add_metadata(evil, {evil: evil})
         log.add_metadata("recording", {f"dropped {evil}": "1"})
-        log.write(LoopVerdict(0, 0, 1, False, evil, 0.0, 0.0, 0.0))
+        log.write(LoopResult(0, 0, 1, False, evil, 0.0, 0.0, 0.0))
     with open_log(tmp_path / "a.mcap") as log:
-        (verdict,) = log.messages()
-        assert verdict.reason == evil
+        (closure_result,) = log.messages()
+        assert closure_result.reason == evil
     info = read_info(tmp_path / "a.mcap")
     assert info.run["robot"] == evil
     assert shown(info.run["robot"]).isprintable()

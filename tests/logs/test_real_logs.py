@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from slam.logs.importers.detect import read_any
 from slam.logs.importers.imported import ImportedLog
-from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 
@@ -66,7 +66,7 @@ def test_raw_odometry_gives_the_known_relation_errors(
 
 def test_every_scan_follows_its_odometry():
     log = load("benchmark/mit-csail.clf.gz")
-    assert isinstance(log.messages[0], LaserMount)
+    assert isinstance(log.messages[0], LaserExtrinsics)
     for odometry, scan in zip(log.messages[1::2], log.messages[2::2], strict=True):
         assert isinstance(odometry, WheelOdometry)
         assert isinstance(scan, LaserScan)
@@ -75,9 +75,9 @@ def test_every_scan_follows_its_odometry():
 
 
 def test_the_mount_of_the_freiburg_robot_is_declared():
-    mount = load("keyframes/freiburg-101.keyframes.clf.gz").messages[0]
-    assert isinstance(mount, LaserMount)
-    assert (mount.x, mount.y, mount.theta) == (-0.04, 0.0, 0.0)
+    extrinsics = load("keyframes/freiburg-101.keyframes.clf.gz").messages[0]
+    assert isinstance(extrinsics, LaserExtrinsics)
+    assert (extrinsics.x, extrinsics.y, extrinsics.theta) == (-0.04, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(("name", "scans", "path_m"), [("exp1", 756, 46.0), ("exp2", 641, 44.5)])

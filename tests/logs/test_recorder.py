@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from slam.logs.errors import LogError
 from slam.logs.mcap_log import open_log
-from slam.logs.messages import LaserMount, LaserScan, Message, RawBytes, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, RawBytes, WheelOdometry
 from slam.logs.part_writer import PartWriter
 from slam.logs.recorder import Recorder
 from slam.logs.recording import RecorderConfig
@@ -123,7 +123,7 @@ def test_rotation_by_size_gives_files_that_stand_alone(tmp_path: Path):
     with Recorder(tmp_path / "a.mcap", {"robot": "p3dx"}, config) as recorder:
         recorder.add_metadata("laser", {"serial": "H1"})
         recorder.add_attachment("config.toml", b"x = 1", "application/toml")
-        recorder.put(LaserMount(0, 0.1, 0.0, 0.0))
+        recorder.put(LaserExtrinsics(0, 0.1, 0.0, 0.0))
         for scan in scans:
             recorder.put(scan)
     files = recorder.status().files
@@ -132,7 +132,7 @@ def test_rotation_by_size_gives_files_that_stand_alone(tmp_path: Path):
     stamps = []
     for k, path in enumerate(files):
         messages = read(path)
-        assert messages[0] == LaserMount(0, 0.1, 0.0, 0.0)
+        assert messages[0] == LaserExtrinsics(0, 0.1, 0.0, 0.0)
         stamps += [m.stamp_ns for m in messages[1:]]
         with open_log(path) as log:
             assert log.metadata()["run"] | {"part": str(k)} == log.metadata()["run"]

@@ -23,7 +23,7 @@ from slam.logs.importers.rosbag import read_rosbag
 from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
     LogLine,
     Message,
@@ -41,7 +41,7 @@ STORE1 = get_typestore(Stores.ROS1_NOETIC)
 
 def a_run(n: int = 20) -> list[Message]:
     rng = np.random.default_rng(3)
-    messages: list[Message] = [LaserMount(START, 0.16, 0.02, 0.1)]
+    messages: list[Message] = [LaserExtrinsics(START, 0.16, 0.02, 0.1)]
     for k in range(n):
         stamp = START + k * STEP
         ranges = rng.uniform(0.5, 9.0, 181).astype(np.float32)
@@ -85,7 +85,7 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
         "/truth": [m for m in run if isinstance(m, TruePose)],
         "/pose": [m for m in run if isinstance(m, PoseEstimate)],
         "/map": [m for m in run if isinstance(m, OccupancyMap)],
-        "/tf_static": [m for m in run if isinstance(m, LaserMount)],
+        "/tf_static": [m for m in run if isinstance(m, LaserExtrinsics)],
         "/rosout": [m for m in run if isinstance(m, LogLine)],
         "/diagnostics": [m for m in run if isinstance(m, DeviceHealth)],
     }
@@ -95,7 +95,7 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
         "/truth": lambda m: ros.odometry(types, m),
         "/pose": lambda m: ros.estimate(types, m),
         "/map": lambda m: ros.occupancy(types, m),
-        "/tf_static": lambda m: ros.mount(types, m),
+        "/tf_static": lambda m: ros.extrinsics(types, m),
         "/rosout": lambda m: ros.log_line(types, m),
         "/diagnostics": lambda m: ros.diagnostics(types, m),
     }
@@ -165,8 +165,8 @@ def test_an_export_comes_back_through_the_importer(tmp_path: Path):
         log = read_any(source)
         assert log.kind == "ROS bag"
         assert not log.skipped
-        mount, *rest = read(log)
-        assert (mount.x, mount.y, mount.theta) == pytest.approx((0.16, 0.02, 0.1))
+        extrinsics, *rest = read(log)
+        assert (extrinsics.x, extrinsics.y, extrinsics.theta) == pytest.approx((0.16, 0.02, 0.1))
         wanted = [m for m in run if isinstance(m, LaserScan | WheelOdometry)]
         assert [(type(m), m.stamp_ns) for m in rest] == [(type(m), m.stamp_ns) for m in wanted]
         assert all(receipt == m.stamp_ns + 5_000_000 for m, receipt in list(log.received())[1:])
@@ -232,9 +232,9 @@ def test_a_foreign_bag_with_two_lasers(tmp_path: Path, plugin: StoragePlugin):
     }
     assert np.isnan(scans[0].ranges[0])  # nearer than 1.5 m
     assert np.isinf(scans[0].ranges[9])  # from the reach on
-    mount = read(log)[0]
+    extrinsics = read(log)[0]
     expected = (0.1 + 0.2 * math.cos(0.5), 0.2 * math.sin(0.5), 0.5)
-    assert (mount.x, mount.y, mount.theta) == pytest.approx(expected)
+    assert (extrinsics.x, extrinsics.y, extrinsics.theta) == pytest.approx(expected)
     rear = read_rosbag(tmp_path / "bag", scan_topic="/rear/scan")
     assert sum(isinstance(m, LaserScan) for m in read(rear)) == 2
     with pytest.raises(LogError, match=r"no LaserScan on /x\\x1b"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.laser import LASERS, take_scan
-from slam.logs.messages import LaserMount, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, TruePose, WheelOdometry
 
 PERIOD_NS = 100_000_000  # 10 scans a second
 START_NS = 1_700_000_000_000_000_000
@@ -21,7 +21,7 @@ def sense():
         rng = np.random.default_rng(seed)
         at = world if callable(world) else lambda index: world
         start = poses[0]
-        made = [LaserMount(START_NS, 0.0, 0.0, 0.0)]
+        made = [LaserExtrinsics(START_NS, 0.0, 0.0, 0.0)]
         for index, pose in enumerate(poses):
             stamp = START_NS + index * PERIOD_NS
             odom = start.between(pose)

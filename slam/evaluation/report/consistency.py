@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam.evaluation.metrics import associate, pairs_by_path, relative_errors, summarise
 from slam.evaluation.report.read_run import Run
-from slam.logs.messages import FactorRecord, LaserMount, LaserScan
+from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan
 from slam.logs.trajectory import Poses, Trajectory, between, compose, wrap
 
 CELL_M = 0.25  # of the grid in which points of many scans are put together
@@ -29,7 +29,7 @@ def consistency(run: Run) -> dict[str, Any]:
         closure_residuals(run.records.factors, run.keyframes)
         | odometry_against_matches(run.records.factors)
         | odometry_against_trajectory(run.odometry, run.trajectory)
-        | map_sharpness(run.records.scans, run.records.mount, run.trajectory)
+        | map_sharpness(run.records.scans, run.records.extrinsics, run.trajectory)
     )
 
 
@@ -82,7 +82,7 @@ def odometry_against_trajectory(
 
 
 def map_sharpness(
-    scans: Sequence[LaserScan], mount: LaserMount | None, trajectory: Trajectory
+    scans: Sequence[LaserScan], extrinsics: LaserExtrinsics | None, trajectory: Trajectory
 ) -> dict[str, Any]:
     """How thick the walls are where several keyframes saw them.
 
@@ -93,7 +93,7 @@ def map_sharpness(
     rows = _rows(scans, trajectory)
     if not rows:
         return {}
-    at = np.array([mount.x, mount.y, mount.theta]) if mount else np.zeros(3)
+    at = np.array([extrinsics.x, extrinsics.y, extrinsics.theta]) if extrinsics else np.zeros(3)
     poses = compose(trajectory.poses[[row for _, row in rows]], at)
     points, source = _points([scans[k] for k, _ in rows], poses)
     thickness = wall_thickness(points, source)

@@ -19,7 +19,7 @@ from slam.evaluation.report.evaluate import RunReport
 from slam.evaluation.report.map import Track, map_figure
 from slam.evaluation.report.page import format_number, page_template
 from slam.evaluation.report.read_run import Run
-from slam.logs.messages import LoopVerdict
+from slam.logs.messages import LoopResult
 from slam.logs.trajectory import path_length
 
 _MOST_CLOSURES = 300  # rows of the closure table
@@ -161,7 +161,7 @@ def _timing(figures: dict[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _closures(report: RunReport) -> dict[str, Any]:
-    verdicts = report.run.records.verdicts
+    closure_results = report.run.records.closure_results
     start = report.run.trajectory.stamps_ns[0]
     rows = [
         {
@@ -174,22 +174,24 @@ def _closures(report: RunReport) -> dict[str, Any]:
             "second_score": v.second_score,
             "chi_square": v.chi_square,
         }
-        for v in _spread(verdicts)
+        for v in _spread(closure_results)
     ]
     return {
-        "n": len(verdicts),
-        "accepted": sum(v.accepted for v in verdicts),
+        "n": len(closure_results),
+        "accepted": sum(v.accepted for v in closure_results),
         "refusals": Counter(
-            _NUMBER.sub("\N{HORIZONTAL ELLIPSIS}", v.reason) for v in verdicts if not v.accepted
+            _NUMBER.sub("\N{HORIZONTAL ELLIPSIS}", v.reason)
+            for v in closure_results
+            if not v.accepted
         ).most_common(),
         "rows": rows,
     }
 
 
-def _spread(verdicts: Sequence[LoopVerdict]) -> list[LoopVerdict]:
+def _spread(closure_results: Sequence[LoopResult]) -> list[LoopResult]:
     """As many as the table takes, evenly over the run."""
-    step = max(1, math.ceil(len(verdicts) / _MOST_CLOSURES))
-    return list(verdicts[::step])
+    step = max(1, math.ceil(len(closure_results) / _MOST_CLOSURES))
+    return list(closure_results[::step])
 
 
 def _provenance(report: RunReport) -> list[tuple[str, Any]]:

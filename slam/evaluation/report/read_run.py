@@ -14,9 +14,9 @@ from slam.logs.errors import LogError
 from slam.logs.messages import (
     FactorRecord,
     KeyframeDecision,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
-    LoopVerdict,
+    LoopResult,
     Message,
     OccupancyMap,
     PoseEstimate,
@@ -36,11 +36,11 @@ class RunRecords:
 
     truth: Trajectory | None = None
     decisions: tuple[KeyframeDecision, ...] = ()
-    verdicts: tuple[LoopVerdict, ...] = ()
+    closure_results: tuple[LoopResult, ...] = ()
     factors: tuple[FactorRecord, ...] = ()
     estimates: tuple[PoseEstimate, ...] = ()
     scans: tuple[LaserScan, ...] = ()  # of keyframes
-    mount: LaserMount | None = None
+    extrinsics: LaserExtrinsics | None = None
     config: Mapping[str, Any] = field(default_factory=dict)  # the run's effective settings
 
 
@@ -158,7 +158,8 @@ def _read_config(data: bytes, warnings: list[str]) -> Mapping[str, Any]:
 def collect_records(messages: Iterable[Message]) -> RunRecords:
     """Sort messages by kind; others are ignored."""
     kinds = (
-        TruePose, KeyframeDecision, LoopVerdict, FactorRecord, PoseEstimate, LaserScan, LaserMount
+        TruePose, KeyframeDecision, LoopResult, FactorRecord, PoseEstimate, LaserScan,
+        LaserExtrinsics,
     )  # fmt: skip
     kept: dict[type, list[Any]] = {kind: [] for kind in kinds}
     for message in messages:
@@ -169,9 +170,9 @@ def collect_records(messages: Iterable[Message]) -> RunRecords:
         if truth
         else None,
         decisions=tuple(kept[KeyframeDecision]),
-        verdicts=tuple(kept[LoopVerdict]),
+        closure_results=tuple(kept[LoopResult]),
         factors=tuple(kept[FactorRecord]),
         estimates=tuple(kept[PoseEstimate]),
         scans=tuple(kept[LaserScan]),
-        mount=kept[LaserMount][-1] if kept[LaserMount] else None,
+        extrinsics=kept[LaserExtrinsics][-1] if kept[LaserExtrinsics] else None,
     )

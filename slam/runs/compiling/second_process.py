@@ -22,7 +22,7 @@ from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
 from slam.frontend.scatter_kernels import scatter
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 from slam.maps.occupancy import build_map
 from slam.runs.compiling.simulated_room import measure_room
 
@@ -37,7 +37,7 @@ def compiled() -> bool:
 
 
 @contextmanager
-def compiling_beside() -> Iterator[None]:
+def compiling_in_second_process() -> Iterator[None]:
     """Have a second process compile its share meanwhile, and wait for it at the end.
 
     Whatever becomes of it: what it leaves undone is compiled at its first use.
@@ -76,7 +76,7 @@ def compile_share() -> None:
     )  # fmt: skip
     own_information(np.zeros(SYSTEM), gradient, 1e-4, 0.0, 0.0, np.empty((3, 3)))
     room = measure_room(0, 0.0)
-    seen = prepare(room, LaserMount(0, 0.0, 0.0, 0.0), ScanConfig())
+    seen = prepare(room, LaserExtrinsics(0, 0.0, 0.0, 0.0), ScanConfig())
     points = seen.points.copy()  # which may be written to, as those of a submap
     search(build_field(points, CorrelativeConfig()), points, Window(Pose2(), 0.5, 0.1), 0.1)
     build_map([room], np.zeros((1, 3)))

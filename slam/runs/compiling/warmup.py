@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from slam.logs.messages import LaserMount, Message, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, Message, WheelOdometry
 from slam.mapping.config import SlamConfig
-from slam.runs.compiling.second_process import compile_matcher, compiled, compiling_beside
+from slam.runs.compiling.second_process import (
+    compile_matcher,
+    compiled,
+    compiling_in_second_process,
+)
 from slam.runs.compiling.simulated_room import measure_room
 from slam.runs.offline import run_offline
 from slam.runs.process_pool import usable_cores
@@ -19,7 +23,7 @@ def warm_up(config: SlamConfig) -> None:
     The room is driven to and fro once; a leap of the odometry calls for the search.
     """
     if usable_cores() > 1 and not compiled():
-        with compiling_beside():
+        with compiling_in_second_process():
             compile_matcher()
     run_offline(lambda: _drive(), _in_the_room(config))
 
@@ -38,7 +42,7 @@ def _in_the_room(config: SlamConfig) -> SlamConfig:
 
 
 def _drive() -> list[Message]:
-    messages: list[Message] = [LaserMount(0, 0.0, 0.0, 0.0)]
+    messages: list[Message] = [LaserExtrinsics(0, 0.0, 0.0, 0.0)]
     for k in range(_SCANS):
         x = _STEP_M * min(k, _SCANS - k) - 1.0
         stamp = round(k * _STEP_S * 1e9)

@@ -18,7 +18,7 @@ from slam.frontend.match_types import MatchConfig, MatchResult, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.findings import Finding, Severity
-from slam.logs.messages import LaserMount, LaserScan, Message
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message
 from slam.mapping.odometry import OdometryConfig
 from slam.tools.doctor.motion_fit import MotionFit, fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Pair, PairCollector
@@ -38,7 +38,7 @@ _RIVAL = 0.85  # of the best quality: as good an answer, if it is another one
 _SAME_M, _SAME_RAD = 0.05, 0.03  # within these it is the same answer
 _MATCHER = MatchConfig()
 _MATCH_VARIANCE = np.diag([0.01, 0.01, 0.005]) ** 2  # m, m, rad: also of stamps and moving things
-_NO_MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+_NO_MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,14 +69,14 @@ class MotionCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd."""
-        mount = self._collector.mount or _NO_MOUNT
-        place = complex(mount.x, mount.y)
-        matcher = _Matcher(Pose2(mount.x, mount.y, mount.theta))
+        extrinsics = self._collector.extrinsics or _NO_MOUNT
+        place = complex(extrinsics.x, extrinsics.y)
+        matcher = _Matcher(Pose2(extrinsics.x, extrinsics.y, extrinsics.theta))
         judged = [j for p in self._collector.moving.pairs() if (j := matcher.judge(p))]
         if len(judged) < LEAST_PAIRS:
             return
         fit = fit_motion(*_steps(judged), place)
-        yield from _systematic(fit, mount)
+        yield from _systematic(fit, extrinsics)
         still = [j for p in self._collector.still.pairs() if (j := matcher.judge(p))]
         yield from _disputed(_disputes(judged, fit) + _disputes(still, fit), judged + still)
 
@@ -95,7 +95,7 @@ class _Matcher:
         # What the wheels say, nothing, and the opposite: each has a start that would be right.
         starts = (by_wheels, Pose2(), by_wheels.inverse())
         results = [match([Reference(Pose2(), first)], second, start, _MATCHER) for start in starts]
-        best = max(results, key=lambda result: result.quality * result.converged)
+        best = max(results, key=lambda result: result.inlier_fraction * result.converged)
         if not _sure(best) or any(_rivals(best, result) for result in results):
             return None
         return _Judged(pair, best.target_T_source)
@@ -108,16 +108,16 @@ class _Matcher:
 
 def _rivals(best: MatchResult, other: MatchResult) -> bool:
     """Whether another start ends elsewhere and explains the scan about as well."""
-    if not other.converged or other.quality < _RIVAL * best.quality:
+    if not other.converged or other.inlier_fraction < _RIVAL * best.inlier_fraction:
         return False
     apart = best.target_T_source.between(other.target_T_source)
     return max(abs(apart.x()), abs(apart.y())) > _SAME_M or abs(apart.theta()) > _SAME_RAD
 
 
 def _sure(result: MatchResult) -> bool:
-    if not result.converged or result.quality < _GOOD_QUALITY:
+    if not result.converged or result.inlier_fraction < _GOOD_QUALITY:
         return False
-    if result.explained < _GOOD_EXPLAINED:
+    if result.pair_inlier_fraction < _GOOD_EXPLAINED:
         return False
     return float(np.linalg.eigvalsh(result.covariance[:2, :2])[-1]) < _SEES_M**2
 
@@ -131,7 +131,7 @@ def _steps(judged: Sequence[_Judged]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return wheels, turns[:, 0], laser, turns[:, 1]
 
 
-def _systematic(fit: MotionFit, mount: LaserMount) -> Iterator[Finding]:
+def _systematic(fit: MotionFit, extrinsics: LaserExtrinsics) -> Iterator[Finding]:
     """What is wrong all the time."""
     turn, turn_off = fit.turn_scale, abs(fit.turn_scale - 1.0)
     if turn < 0.0 and -turn > SURE * fit.turn_sigma:
@@ -153,20 +153,22 @@ def _systematic(fit: MotionFit, mount: LaserMount) -> Iterator[Finding]:
             f"the scans move {scale:.2f} times as far as the wheels say: wrong units or conversion "
             "factors, or another wheel size",
         )  # fmt: skip
-    off = math.remainder(fit.yaw - mount.theta, math.tau)
+    off = math.remainder(fit.yaw - extrinsics.theta, math.tau)
     if abs(off) > YAW and abs(off) > SURE * fit.yaw_sigma:
         back = ", or the odometry has the wrong sign" if abs(off) > 0.9 * math.pi else ""
         yield Finding(
             _severity(abs(off), YAW_ERROR), "mount-yaw", "/tf",
             f"the laser looks {math.degrees(fit.yaw):.1f} +- {math.degrees(fit.yaw_sigma):.1f} deg "
-            f"off the robot's front, not {math.degrees(mount.theta):.1f} deg as the log says{back}",
+            f"off the robot's front, not {math.degrees(extrinsics.theta):.1f} deg "
+            f"as the log says{back}",
         )  # fmt: skip
-    elsewhere = abs(fit.place - complex(mount.x, mount.y))
+    elsewhere = abs(fit.place - complex(extrinsics.x, extrinsics.y))
     if elsewhere > PLACE_M and elsewhere > SURE * fit.place_sigma:
         yield Finding(
             "warning", "mount-place", "/tf",
             f"turns say that the laser sits at ({fit.place.real:.2f}, {fit.place.imag:.2f}) +- "
-            f"{fit.place_sigma:.2f} m, not at ({mount.x:.2f}, {mount.y:.2f}) m as the log says",
+            f"{fit.place_sigma:.2f} m, not at ({extrinsics.x:.2f}, {extrinsics.y:.2f}) m as the "
+            "log says",
         )  # fmt: skip
 
 
@@ -177,7 +179,7 @@ def _severity(off: float, error: float) -> Severity:
 def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
     """Single pairs and blocks of neighbours that honest wheels could not have."""
     found = []
-    mount = Pose2(fit.place.real, fit.place.imag, fit.yaw)
+    extrinsics = Pose2(fit.place.real, fit.place.imag, fit.yaw)
     turn_scale = fit.turn_scale if math.isfinite(fit.turn_scale) else 1.0
     for group in [*([j] for j in judged), *_rows_of(judged)]:
         wheels, scans = Pose2(), Pose2()
@@ -185,7 +187,7 @@ def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
         for one in group:
             step, scale = one.pair.step, fit.distance_scale
             wheels *= Pose2(scale * step.x(), scale * step.y(), turn_scale * step.theta())
-            seen = mount * one.laser * mount.inverse()
+            seen = extrinsics * one.laser * extrinsics.inverse()
             scans *= seen
             distance_m += math.hypot(seen.x(), seen.y())
             turn_rad += abs(seen.theta())

@@ -41,7 +41,7 @@ class MotionFit:
 
 
 def fit_motion(
-    wheels: Complex, wheel_turns: Array, laser: Complex, laser_turns: Array, mount: complex
+    wheels: Complex, wheel_turns: Array, laser: Complex, laser_turns: Array, extrinsics: complex
 ) -> MotionFit:
     """Fit scales and mount to the steps of n pairs, few of which may be wrong.
 
@@ -50,11 +50,11 @@ def fit_motion(
         wheel_turns: (n,) rad.
         laser: (n,) m, steps of the laser by matching, in the laser frame at their start.
         laser_turns: (n,) rad.
-        mount: m, x + iy of the laser as the log has it.
+        extrinsics: m, x + iy of the laser as the log has it.
     """
     turned = np.exp(1j * laser_turns) - 1.0
     rows = np.concatenate([_rows(laser), _rows(-turned)], axis=2)
-    found, covariance = _robust(rows, np.stack([wheels.real, wheels.imag], axis=1), mount)
+    found, covariance = _robust(rows, np.stack([wheels.real, wheels.imag], axis=1), extrinsics)
     w, q = complex(found[0], found[1]), complex(found[2], found[3])
     size = max(abs(w), 1e-9)
     sigma = math.sqrt(covariance[0, 0]) / size
@@ -87,13 +87,13 @@ def _turn_scale(wheel_turns: Array, laser_turns: Array) -> tuple[float, float]:
     return 1.0 / counted, math.sqrt(covariance[0, 0]) / counted**2
 
 
-def _robust(rows: Array, values: Array, mount: complex | None = None) -> tuple[Array, Array]:
+def _robust(rows: Array, values: Array, extrinsics: complex | None = None) -> tuple[Array, Array]:
     """Solve rows @ x = values, (n, k, m) and (n, k), by reweighting; x and its covariance.
 
     Huber's weights first, which find the neighbourhood from anywhere, then Tukey's, which
     leave wrong pairs out.
     """
-    found, covariance = _solved(rows, values, np.ones(len(rows)), _NOISE_FLOOR, mount)
+    found, covariance = _solved(rows, values, np.ones(len(rows)), _NOISE_FLOOR, extrinsics)
     for k in range(2 * _ROUNDS):
         errors = np.linalg.norm(values - rows @ found, axis=1)
         sigma = max(1.4826 * float(np.median(errors)), _NOISE_FLOOR)
@@ -101,19 +101,19 @@ def _robust(rows: Array, values: Array, mount: complex | None = None) -> tuple[A
             weights = np.minimum(1.0, _HUBER * sigma / np.maximum(errors, sigma))
         else:
             weights = np.clip(1.0 - (errors / (_TUKEY * sigma)) ** 2, 0.0, 1.0) ** 2
-        found, covariance = _solved(rows, values, weights, sigma, mount)
+        found, covariance = _solved(rows, values, weights, sigma, extrinsics)
     return found, covariance
 
 
 def _solved(
-    rows: Array, values: Array, weights: Array, sigma: float, mount: complex | None
+    rows: Array, values: Array, weights: Array, sigma: float, extrinsics: complex | None
 ) -> tuple[Array, Array]:
-    """One weighted solution; the place is held to `mount` as far as turns do not tell."""
+    """One weighted solution; the place is held to `extrinsics` as far as turns do not tell."""
     normal = np.einsum("nkm,n,nkp->mp", rows, weights, rows)
     normal += 1e-12 * np.eye(len(normal))  # a robot that never moved
     right = np.einsum("nkm,n,nk->m", rows, weights, values)
-    if mount is not None:
+    if extrinsics is not None:
         held = (sigma / PRIOR_SIGMA_M) ** 2
         normal[[2, 3], [2, 3]] += held
-        right[2:] += held * np.array([mount.real, mount.imag])
+        right[2:] += held * np.array([extrinsics.real, extrinsics.imag])
     return np.linalg.solve(normal, right), sigma**2 * np.linalg.inv(normal)

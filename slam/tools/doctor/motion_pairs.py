@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from gtsam import Pose2
 
-from slam.logs.messages import LaserMount, LaserScan, Message, WheelOdometry
-from slam.mapping.message_checks import flaw
+from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
+from slam.mapping.message_checks import validate_message
 
 BLOCK = 6  # neighbours that are kept or dropped together
 STEP_M, STEP_RAD = 0.3, 0.2  # by the wheels: then a pair is complete
@@ -77,7 +77,7 @@ class PairCollector:
 
     def __init__(self, most_moving: int = 100, most_still: int = 20) -> None:
         """Keep so many blocks at most."""
-        self.mount: LaserMount | None = None
+        self.extrinsics: LaserExtrinsics | None = None
         self.moving, self.still = Blocks(most_moving), Blocks(most_still)
         self._waiting: deque[LaserScan] = deque(maxlen=_WAITING)
         self._last: WheelOdometry | None = None
@@ -86,12 +86,12 @@ class PairCollector:
 
     def feed(self, message: Message) -> None:
         """Take in one message; unusable ones are passed over."""
-        if isinstance(message, LaserMount) and not flaw(message):
-            self.mount = message
+        if isinstance(message, LaserExtrinsics) and not validate_message(message):
+            self.extrinsics = message
         elif isinstance(message, LaserScan):
-            if len(message.ranges) <= _BEAMS_LIMIT and not flaw(message):
+            if len(message.ranges) <= _BEAMS_LIMIT and not validate_message(message):
                 self._waiting.append(message)
-        elif isinstance(message, WheelOdometry) and not flaw(message):
+        elif isinstance(message, WheelOdometry) and not validate_message(message):
             self._odometry(message)
 
     def _odometry(self, odometry: WheelOdometry) -> None:

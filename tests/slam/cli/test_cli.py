@@ -24,7 +24,7 @@ import pytest
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import LogWriter
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
 from slam.cli.main import main
 
@@ -73,7 +73,7 @@ def inputs(tmp_path_factory):
         "no-scans": [m for m in good if not isinstance(m, LaserScan)],
         "one-scan": good[:4],
         "no-odometry": [m for m in good if not isinstance(m, WheelOdometry)],
-        "odometry-only": [m for m in good if isinstance(m, LaserMount | WheelOdometry)],
+        "odometry-only": [m for m in good if isinstance(m, LaserExtrinsics | WheelOdometry)],
         "nothing-seen": [
             replace(m, ranges=inf.copy()) if isinstance(m, LaserScan) else m for m in good
         ],
@@ -446,7 +446,7 @@ def test_ten_times_the_data_takes_ten_times_as_long_and_no_more_than_twice_the_m
     lap = list(simulate(scenario("testbed-180cm"), seed=1))
     stamps = [m.stamp_ns for m in lap]
     period = stamps[-1] - stamps[0] + 100_000_000
-    there = [m for m in lap if not isinstance(m, TruePose | LaserMount)]
+    there = [m for m in lap if not isinstance(m, TruePose | LaserExtrinsics)]
     back = [replace(m, stamp_ns=stamps[-1] + stamps[0] - m.stamp_ns) for m in there]
     back.sort(key=lambda m: (m.stamp_ns, isinstance(m, LaserScan)))
     patrol = []

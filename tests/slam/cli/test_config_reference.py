@@ -11,7 +11,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "configuration.md"
 
 def test_the_page_in_docs_is_current():
     assert PAGE.read_text(encoding="utf-8") == page(), (
-        "settings have changed: python -m slam.config_reference > docs/configuration.md"
+        "settings have changed: python -m slam.cli.config_reference > docs/configuration.md"
     )
 
 
@@ -26,6 +26,6 @@ def test_every_setting_has_a_row():
 def test_limits_and_choices_are_told():
     rows = {line.split("`")[1]: line for line in page().splitlines() if line.startswith("| `")}
     assert '`"sdp-pe"`, `"constant"`' in rows["method"] or '`"point_to_line"`' in rows["method"]
-    assert "number >= 0, <= 1" in rows["good_explained"]
+    assert "number >= 0, <= 1" in rows["good_pair_inlier_fraction"]
     assert "4 numbers" in rows["weights"]
     assert "`true`, `false`" in rows["reject_loops"]

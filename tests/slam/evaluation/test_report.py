@@ -12,9 +12,9 @@ from slam.logs.mcap_log import LogWriter
 from slam.logs.messages import (
     FactorRecord,
     KeyframeDecision,
-    LaserMount,
+    LaserExtrinsics,
     LaserScan,
-    LoopVerdict,
+    LoopResult,
     PoseEstimate,
     TruePose,
 )
@@ -113,7 +113,7 @@ def make_run(
     (directory / "summary.json").write_text(json.dumps(summary))
     with LogWriter(directory / "run.mcap") as log:
         log.add_attachment("config.json", json.dumps(CONFIG).encode(), "application/json")
-        log.write(LaserMount(int(truth.stamps_ns[0]), 0.0, 0.0, 0.0))
+        log.write(LaserExtrinsics(int(truth.stamps_ns[0]), 0.0, 0.0, 0.0))
         for scan in scans:
             log.write(scan)
         write_records(log, truth, estimate, rows, truth_in_log)
@@ -141,8 +141,8 @@ def write_records(log, truth, estimate, rows, truth_in_log) -> None:
             )
         )  # fmt: skip
     i, j = 3, len(rows) - 2
-    log.write(LoopVerdict(stamps[-9], i, j, True, "accepted", 0.91, 0.4, 2.5))
-    log.write(LoopVerdict(stamps[-5], i + 1, j, False, HOSTILE, 0.5, 0.48, math.nan))
+    log.write(LoopResult(stamps[-9], i, j, True, "accepted", 0.91, 0.4, 2.5))
+    log.write(LoopResult(stamps[-5], i + 1, j, False, HOSTILE, 0.5, 0.48, math.nan))
     for k in range(1, len(rows)):
         covariance = tuple((1e-4 * np.eye(3)).ravel().tolist())
         step = (0.5, 0.0, 0.0)

@@ -5,7 +5,7 @@ import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.laser import LaserConfig, take_moving_scan
 from slam.drivers.simulators.world import World
-from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
 from slam.runs.config_file import load_config
 from slam.runs.offline import run_offline
@@ -24,7 +24,7 @@ def heading(t):
 
 @pytest.fixture(scope="module")
 def drive():
-    rng, messages = np.random.default_rng(0), [LaserMount(START_NS, 0.16, 0.0, 0.0)]
+    rng, messages = np.random.default_rng(0), [LaserExtrinsics(START_NS, 0.16, 0.0, 0.0)]
     for k in range(200):
         t = k * 0.025
         stamp = START_NS + round(t * 1e9)
@@ -35,8 +35,8 @@ def drive():
     return messages
 
 
-def errors_deg(drive, unbend):
-    config = load_config(None, [f"scan.unbend={unbend}", "loops.enabled=false"])
+def errors_deg(drive, deskew):
+    config = load_config(None, [f"scan.deskew={deskew}", "loops.enabled=false"])
     found = run_offline(lambda: drive, config).trajectory
     t = (found.stamps_ns - START_NS) * 1e-9
     wrong = [Pose2(0, 0, heading(at)).between(Pose2(0, 0, p[2])).theta()

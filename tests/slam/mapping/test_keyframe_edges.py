@@ -10,43 +10,59 @@ from gtsam import Pose2
 from slam.logs.messages import LaserScan
 
 from slam.mapping.config import SlamConfig
-from slam.mapping.keyframe_edges import SURE, Linker
-from slam.mapping.registration import Tracked, starts_in_doubt
-from slam.mapping.scan_sync import HONEST, Stretch, sight
+from slam.mapping.keyframe_edges import SURE, KeyframeEdgeBuilder
+from slam.mapping.registration import Registration, starts_in_doubt
+from slam.mapping.scan_sync import ZERO_BIAS, OdometryIncrement, next_stamped_scan
 
 
-def stretch(moved, seconds, suspected=HONEST):
+def increment(moved, seconds, bias=ZERO_BIAS):
     scans = [LaserScan(round(s * 1e9), 0.0, 0.1, np.ones(4, np.float32)) for s in (0.0, seconds)]
-    first = sight(scans[0], Pose2(), 0, None)
-    return Stretch(first, sight(scans[1], moved, 1, first), suspected)
+    first = next_stamped_scan(scans[0], Pose2(), 0, None)
+    return OdometryIncrement(first, next_stamped_scan(scans[1], moved, 1, first), bias)
 
 
-def tracked(found, quality=0.9, odometry_trusted=False, match_trusted=True, weak_axis=None):
+def registration(
+    found,
+    inlier_fraction=0.9,
+    odometry_trusted=False,
+    match_trusted=True,
+    degenerate_direction=None,
+):
     known = np.diag([4e4, 4e4, 2.5e5])
     result = SimpleNamespace(
-        target_T_source=found, quality=quality, information=known, weak_axis=weak_axis
+        target_T_source=found,
+        inlier_fraction=inlier_fraction,
+        information=known,
+        degenerate_direction=degenerate_direction,
     )
-    return Tracked(result, odometry_trusted, match_trusted, "")
+    return Registration(result, odometry_trusted, match_trusted, "")
 
 
 def test_a_refuted_stretch_makes_its_parts_suspect_by_the_size_of_the_lie():
-    linker = Linker(SlamConfig())
-    way, turn = linker.suspicion(stretch(Pose2(0.2, 0, 0), 2.0), tracked(Pose2(1.4, 0, 0.1)))
+    linker = KeyframeEdgeBuilder(SlamConfig())
+    way, turn = linker.suspected_bias(
+        increment(Pose2(0.2, 0, 0), 2.0), registration(Pose2(1.4, 0, 0.1))
+    )
     assert (way, turn) == (pytest.approx(0.6), pytest.approx(0.05))
-    later = linker.suspicion(stretch(Pose2(0.1, 0, 0), 1.0, (0.9, 0.0)), tracked(Pose2(0.7, 0, 0)))
+    later = linker.suspected_bias(
+        increment(Pose2(0.1, 0, 0), 1.0, (0.9, 0.0)), registration(Pose2(0.7, 0, 0))
+    )
     assert later == (0.9, 0.0)  # what is known of the whole stays known of its parts
 
 
 @pytest.mark.parametrize(
     "seen",
     [
-        tracked(Pose2(1.4, 0, 0), quality=SURE - 0.01),
-        tracked(Pose2(1.4, 0, 0), match_trusted=False),
-        tracked(Pose2(1.4, 0, 0), odometry_trusted=True),
+        registration(Pose2(1.4, 0, 0), inlier_fraction=SURE - 0.01),
+        registration(Pose2(1.4, 0, 0), match_trusted=False),
+        registration(Pose2(1.4, 0, 0), odometry_trusted=True),
     ],
 )
 def test_only_a_sure_match_that_refutes_the_wheels_makes_them_suspect(seen):
-    assert Linker(SlamConfig()).suspicion(stretch(Pose2(0.2, 0, 0), 2.0), seen) == HONEST
+    assert (
+        KeyframeEdgeBuilder(SlamConfig()).suspected_bias(increment(Pose2(0.2, 0, 0), 2.0), seen)
+        == ZERO_BIAS
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,12 +70,18 @@ def test_only_a_sure_match_that_refutes_the_wheels_makes_them_suspect(seen):
     [(True, None, [False, True]), (True, 0.0, [True, True]), (False, None, [True, False])],
 )
 def test_a_part_of_a_refuted_stretch_keeps_its_odometry_if_nothing_else_holds_it(
-    match_trusted, weak_axis, used
+    match_trusted, degenerate_direction, used
 ):
     """Without any edge the keyframe would be loose, and the run would end."""
-    here = stretch(Pose2(0.1, 0, 0), 0.5, (0.6, 0.0))
-    seen = tracked(Pose2(0.3, 0, 0), 0.9, True, match_trusted=match_trusted, weak_axis=weak_axis)
-    link = Linker(SlamConfig()).link(here, seen, 1)
+    here = increment(Pose2(0.1, 0, 0), 0.5, (0.6, 0.0))
+    seen = registration(
+        Pose2(0.3, 0, 0),
+        0.9,
+        True,
+        match_trusted=match_trusted,
+        degenerate_direction=degenerate_direction,
+    )
+    link = KeyframeEdgeBuilder(SlamConfig()).link(here, seen, 1)
     assert [is_used for _, is_used in link.edges] == used
     assert ("odometry refused" in link.note) == (not used[0])
 

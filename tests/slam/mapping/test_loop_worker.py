@@ -8,7 +8,7 @@ import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.world import World
 
-from slam.mapping.loop_worker import at_once
+from slam.mapping.loop_worker import run_inline
 from slam.mapping.slam import CLOSING_SCANS, Slam
 from slam.runs.config_file import load_config
 
@@ -23,8 +23,8 @@ def circles(sense):
     return sense(ROOM, [*poses[:200], *[poses[200]] * 20, *poses[200:]])  # with a rest
 
 
-def run(messages, beside=at_once):
-    slam = Slam(SOON, beside=beside)
+def run(messages, submit=run_inline):
+    slam = Slam(SOON, submit=submit)
     for message in messages:
         slam.step(message)
     slam.finish_input()
@@ -42,16 +42,16 @@ def same(one, other):
     assert one.graph.poses.tobytes() == other.graph.poses.tobytes()
     assert repr(one.records.factors) == repr(other.records.factors)
     assert repr(one.records.estimates) == repr(other.records.estimates)
-    assert repr(one.loops.verdicts) == repr(other.loops.verdicts)
+    assert repr(one.loops.closure_results) == repr(other.loops.closure_results)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_thread_of_any_speed_gives_the_same_graph(circles, inline, seed):
     rng = np.random.default_rng(seed)
 
-    def late(search, questions):
+    def late(search, places_to_try):
         time.sleep(rng.choice([0.0, 0.002, 0.03]))
-        return search(questions)
+        return search(places_to_try)
 
     with ThreadPoolExecutor(1) as thread:
         same(run(circles, lambda *work: thread.submit(late, *work)), inline)
@@ -73,11 +73,11 @@ class Procrastinated(Future):
 def test_a_result_is_waited_for_at_a_scan_that_is_known_beforehand(circles, inline):
     made = []
 
-    def beside(*work):
+    def submit(*work):
         made.append(Procrastinated(work, lambda: slam.scans))
         return made[-1]
 
-    slam = Slam(SOON, beside=beside)
+    slam = Slam(SOON, submit=submit)
     for message in circles:
         slam.step(message)
     slam.finish_input()
@@ -89,10 +89,10 @@ def test_a_result_is_waited_for_at_a_scan_that_is_known_beforehand(circles, inli
 
 
 def test_a_search_that_fails_is_not_forgotten(circles):
-    def beside(*work):
+    def submit(*work):
         broken = Future()
         broken.set_exception(ValueError("a defect"))
         return broken
 
     with pytest.raises(ValueError, match="a defect"):
-        run(circles, beside)
+        run(circles, submit)

@@ -5,7 +5,7 @@ import pytest
 from gtsam import Pose2
 
 from slam.mapping.odometry import OdometryConfig
-from slam.mapping.odometry_faults import LieDetector, Step, kind_of
+from slam.mapping.odometry_faults import FaultDetector, Step, kind_of
 
 AHEAD, BACK = Pose2(0.3, 0.0, 0.0), Pose2(-0.3, 0.01, 0.02)
 SURE = np.diag([4e4, 4e4, 2.5e5])  # 5 mm, 2 mrad
@@ -18,7 +18,7 @@ def step(odometry, matched, information=SURE, seconds=0.5):
 
 
 def detector():
-    return LieDetector(OdometryConfig(), FALSE_ALARM)
+    return FaultDetector(OdometryConfig(), FALSE_ALARM)
 
 
 @pytest.mark.parametrize(
@@ -42,49 +42,49 @@ def test_each_lie_has_its_name(kind, odometry, matched):
 
 
 def test_a_lie_is_named_once_however_long_it_lasts():
-    watcher = detector()
-    named = [watcher.watch(step(Pose2(), AHEAD), refused=False) for _ in range(5)]
+    observer = detector()
+    named = [observer.watch(step(Pose2(), AHEAD), refused=False) for _ in range(5)]
     assert named == ["stall", None, None, None, None]
-    assert watcher.watch(step(AHEAD, AHEAD), refused=False) is None
-    assert watcher.watch(step(Pose2(), AHEAD), refused=False) == "stall"
+    assert observer.watch(step(AHEAD, AHEAD), refused=False) is None
+    assert observer.watch(step(Pose2(), AHEAD), refused=False) == "stall"
 
 
 def test_short_steps_of_the_wrong_sign_are_evident_together():
     """One scan's step is within what a late odometry may be off; several in a row are not."""
     short = step(Pose2(0.05, 0.0, 0.0), Pose2(-0.05, 0.0, 0.0), seconds=0.1)
-    watcher = detector()
-    named = [watcher.watch(short, refused=False) for _ in range(6)]
+    observer = detector()
+    named = [observer.watch(short, refused=False) for _ in range(6)]
     assert named[0] is None
     assert [name for name in named if name] == ["sign-flip"]
 
 
 def test_a_lie_that_begins_with_half_a_step_gets_its_name_when_it_goes_on():
     """The first step goes half ahead and half back: the way told looks far too long."""
-    watcher, back = detector(), step(BACK.inverse(), BACK)
-    assert watcher.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) == "jump"
-    assert [watcher.watch(back, refused=True) for _ in range(4)] == [None, "sign-flip", None, None]
+    observer, back = detector(), step(BACK.inverse(), BACK)
+    assert observer.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) == "jump"
+    assert [observer.watch(back, refused=True) for _ in range(4)] == [None, "sign-flip", None, None]
 
 
 def test_half_a_step_at_the_end_of_a_lie_is_no_other_lie():
-    watcher, back = detector(), step(BACK.inverse(), BACK)
-    assert watcher.watch(back, refused=True) == "sign-flip"
-    assert watcher.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) is None
-    assert watcher.watch(step(AHEAD, AHEAD), refused=False) is None
+    observer, back = detector(), step(BACK.inverse(), BACK)
+    assert observer.watch(back, refused=True) == "sign-flip"
+    assert observer.watch(step(AHEAD, Pose2(0.1, 0.0, 0.0)), refused=True) is None
+    assert observer.watch(step(AHEAD, AHEAD), refused=False) is None
 
 
 def test_a_blind_match_accuses_nobody_along_its_blind_axis():
     blind = np.diag([0.0, 4e4, 2.5e5])
-    watcher = detector()
-    assert watcher.watch(step(Pose2(), AHEAD, blind), refused=False) is None
+    observer = detector()
+    assert observer.watch(step(Pose2(), AHEAD, blind), refused=False) is None
 
 
 def test_honest_steps_are_seldom_accused():
     """Errors as the model has them, 10 000 steps: the false-alarm rate is kept."""
     config, rng = OdometryConfig(), np.random.default_rng(1)
-    watcher, named = detector(), 0
+    observer, named = detector(), 0
     root = np.sqrt(np.diag(config.covariance(0.3, 0.0, 0.5)))
     for _ in range(10_000):
         match_error = Pose2(*(rng.normal(size=3) * [0.005, 0.005, 0.002]))
         told = AHEAD * Pose2.Expmap(rng.normal(size=3) * root)
-        named += watcher.watch(step(told, AHEAD * match_error), refused=False) is not None
+        named += observer.watch(step(told, AHEAD * match_error), refused=False) is not None
     assert named <= 10  # expected: 1 by single steps, some more by chance runs

@@ -11,25 +11,27 @@ from slam.backend.pruning import Renumbered
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import open_log
-from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopVerdict
+from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopResult
 from slam.logs.trajectory import compose
 
 from slam.evaluation.metrics import align
-from slam.mapping.loop_worker import at_once
-from slam.mapping.pruning import FormerPlaces, Thinner, ThinningConfig
-from slam.mapping.slam import THINNED, Slam
+from slam.mapping.loop_worker import run_inline
+from slam.mapping.pruning import FormerPlaces, Pruner, PruningConfig
+from slam.mapping.slam import PRUNED, Slam
 from slam.runs.config_file import load_config
 from slam.runs.offline import run_offline
 from slam.runs.replay import summarise
-from slam.runs.resume import read_past
+from slam.runs.resume import read_prior_map
 from slam.runs.run_directory import write_results
-from slam.viewer.event_cursor import News
+from slam.viewer.event_cursor import EventCursor
 from slam.viewer.frames import Feed
 from slam.viewer.snapshot import View, take
 
 # So that a short drive shows what an hour does.
-SOON = ("thinning.enough=2", "thinning.at_once=12", "thinning.share=0.0", "thinning.within_m=0.8")
-THIN, WHOLE = load_config(None, SOON), load_config(None, ["thinning.enough=0"])
+SOON = tuple(
+    f"pruning.{s}" for s in ("min_redundancy=2", "at_once=12", "share=0.0", "within_m=0.8")
+)
+THIN, WHOLE = load_config(None, SOON), load_config(None, ["pruning.min_redundancy=0"])
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +57,10 @@ def ate(result):
 
 
 def test_the_graph_stops_growing_and_the_map_is_as_good(thin, whole):
-    gone = thin.slam.records.thinned_out["keyframes"]
+    gone = thin.slam.records.pruned_counts["keyframes"]
     assert gone > 0.25 * len(whole.slam.keyframes)
     assert len(thin.slam.keyframes) + gone == pytest.approx(len(whole.slam.keyframes), rel=0.05)
-    assert not whole.slam.records.thinned_out
+    assert not whole.slam.records.pruned_counts
     assert ate(whole) < 0.03
     assert ate(thin) < 1.5 * ate(whole) + 0.005
 
@@ -75,11 +77,11 @@ def test_records_name_the_keyframes_that_are_left(thin):
     assert [k.index for k in slam.keyframes] == list(range(count))
     assert [d.index for d in slam.records.decisions] == list(range(count))
     assert [d.stamp_ns for d in slam.records.decisions] == [k.scan.stamp_ns for k in slam.keyframes]
-    for pair in (*slam.records.factors, *slam.loops.verdicts, *slam.graph.edges):
+    for pair in (*slam.records.factors, *slam.loops.closure_results, *slam.graph.edges):
         assert 0 <= pair.i < pair.j < count
     used = {(f.kind, f.i, f.j) for f in slam.records.factors if f.used}
     assert {(e.kind, e.i, e.j) for e in slam.graph.edges} == used
-    assert any(f.note == THINNED for f in slam.records.factors)
+    assert any(f.note == PRUNED for f in slam.records.factors)
     numbers = [k.number for k in slam.keyframes]
     assert numbers == sorted(set(numbers))
     assert numbers[-1] > count
@@ -89,10 +91,10 @@ def test_summary_counts_those_that_are_gone(thin, whole):
     timing = {"wall_s": 1.0}
     said = summarise(thin, "log", timing, THIN)
     assert said["keyframes"] == len(thin.slam.keyframes)
-    assert said["thinned_out"] == thin.slam.records.thinned_out["keyframes"]
+    assert said["pruned"] == thin.slam.records.pruned_counts["keyframes"]
     loops = said["loops"]
     assert loops["candidates"] == loops["accepted"] + loops["rejected"]
-    assert loops["candidates"] > len(thin.slam.loops.verdicts)
+    assert loops["candidates"] > len(thin.slam.loops.closure_results)
     assert said["distance_m"] == pytest.approx(
         summarise(whole, "log", timing, WHOLE)["distance_m"], rel=0.02
     )
@@ -100,11 +102,11 @@ def test_summary_counts_those_that_are_gone(thin, whole):
 
 def test_it_does_not_matter_whether_loops_are_searched_beside(messages, thin):
     with ThreadPoolExecutor(1) as pool:
-        slam = Slam(THIN, beside=pool.submit)
+        slam = Slam(THIN, submit=pool.submit)
         for message in messages:
             slam.step(message)
         slam.finish_input()
-    assert slam.records.thinned_out == thin.slam.records.thinned_out
+    assert slam.records.pruned_counts == thin.slam.records.pruned_counts
     assert repr(slam.records.decisions) == repr(thin.slam.records.decisions)  # nan is not nan
     assert slam.records.estimates == thin.slam.records.estimates
 
@@ -113,25 +115,25 @@ def test_a_run_that_was_thinned_can_be_written_and_resumed(thin, tmp_path):
     write_results(tmp_path, thin, {}, b"{}")
     times = (tmp_path / "graph.times.csv").read_text().splitlines()
     assert len(times) == len(thin.slam.keyframes) + 1
-    past = read_past(tmp_path, THIN)
-    assert len(past.keyframes) == len(past.poses) == len(thin.slam.keyframes)
+    prior_map = read_prior_map(tmp_path, THIN)
+    assert len(prior_map.keyframes) == len(prior_map.poses) == len(thin.slam.keyframes)
     slam = Slam(THIN)
-    slam.resume(past)
+    slam.resume(prior_map)
     np.testing.assert_allclose(slam.graph.poses, thin.keyframes.poses, atol=0.02)
     with open_log(tmp_path / "run.mcap") as log:
-        assert any(m.note == THINNED for m in log.messages(["/factor"]))
+        assert any(m.note == PRUNED for m in log.messages(["/factor"]))
 
 
 def test_news_of_the_run_come_once(messages):
-    slam, news, told = Slam(THIN), News(), []
+    slam, event_cursor, told = Slam(THIN), EventCursor(), []
     for message in messages:
         slam.step(message)
-        told += news.take(slam)
-        if slam.records.thinned_out["keyframes"] > 30:
+        told += event_cursor.take(slam)
+        if slam.records.pruned_counts["keyframes"] > 30:
             break
     decided = [m.stamp_ns for m in told if isinstance(m, KeyframeDecision)]
     assert decided == sorted(set(decided))
-    assert len(decided) == len(slam.keyframes) + slam.records.thinned_out["keyframes"]
+    assert len(decided) == len(slam.keyframes) + slam.records.pruned_counts["keyframes"]
     tied = [(m.kind, m.stamp_ns) for m in told if isinstance(m, FactorRecord) and m.kind == "icp"]
     assert len(tied) == len(set(tied)) == len(decided) - 1
 
@@ -139,9 +141,9 @@ def test_news_of_the_run_come_once(messages):
 def test_the_live_page_is_told_anew_when_indices_change(messages):
     slam, feed, greetings, thinnings = Slam(THIN), Feed(), 0, 0
     for message in messages:
-        before = slam.records.thinned_out["keyframes"]
+        before = slam.records.pruned_counts["keyframes"]
         slam.step(message)
-        thinnings += slam.records.thinned_out["keyframes"] != before
+        thinnings += slam.records.pruned_counts["keyframes"] != before
         if slam.graph is not None and isinstance(message, LaserScan):
             frames = [json.loads(frame) for frame in feed.frames(View("live", take(slam)))]
             greetings += frames[0]["type"] == "hello"
@@ -183,21 +185,23 @@ def test_without_former_places_the_keyframes_are_all_there_is():
     np.testing.assert_array_equal(where, poses)
 
 
-def dispensable(slam, doubted=(), closures=None):
+def redundant(slam, odometry_faulty=(), closures=None):
     """Whether the thinner finds enough dispensable keyframes in a graph that has all."""
-    thinner = Thinner(ThinningConfig(enough=2, within_m=0.8, at_once=12, share=0.0), 8.0, at_once)
+    thinner = Pruner(
+        PruningConfig(min_redundancy=2, within_m=0.8, run_inline=12, share=0.0), 8.0, run_inline
+    )
     loops = [edge for edge in slam.graph.edges if edge.kind == "loop"]
     thinner.add_closures(loops if closures is None else closures(loops))
-    return thinner.due(slam.keyframes, slam.graph, set(doubted))
+    return thinner.due(slam.keyframes, slam.graph, set(odometry_faulty))
 
 
 def test_a_keyframe_to_which_the_odometry_did_not_lead_is_kept(whole):
-    assert dispensable(whole.slam)
-    assert not dispensable(whole.slam, [k.scan_index for k in whole.slam.keyframes])
+    assert redundant(whole.slam)
+    assert not redundant(whole.slam, [k.scan_index for k in whole.slam.keyframes])
 
 
 def test_where_no_closure_has_shown_that_all_is_well_everything_is_kept(whole):
-    assert not dispensable(whole.slam, closures=lambda loops: [])
+    assert not redundant(whole.slam, closures=lambda loops: [])
 
 
 def test_where_the_graph_contradicts_a_closure_everything_is_kept(whole):
@@ -207,7 +211,7 @@ def test_where_the_graph_contradicts_a_closure_everything_is_kept(whole):
         off = Pose2(0.3, 0.0, 0.0)
         return [Edge("loop", e.i, e.j, e.i_T_j * off, e.information) for e in loops]
 
-    assert not dispensable(whole.slam, closures=contradicted)
+    assert not redundant(whole.slam, closures=contradicted)
 
 
 def test_a_single_pass_loses_nothing():
@@ -216,15 +220,15 @@ def test_a_single_pass_loses_nothing():
     for message in drive:
         slam.step(message)
     slam.finish_input()
-    assert not slam.records.thinned_out
+    assert not slam.records.pruned_counts
 
 
 def test_verdicts_that_are_gone_are_counted():
     slam = Slam(THIN)
-    slam.loops.verdicts = [
-        LoopVerdict(1, 0, 2, True, "accepted", 0.8, 0.1, 1.0),
-        LoopVerdict(2, 0, 3, False, "score", 0.2, 0.1, 1.0),
-        LoopVerdict(3, 0, 4, True, "accepted", 0.8, 0.1, 1.0),
+    slam.loops.closure_results = [
+        LoopResult(1, 0, 2, True, "accepted", 0.8, 0.1, 1.0),
+        LoopResult(2, 0, 3, False, "score", 0.2, 0.1, 1.0),
+        LoopResult(3, 0, 4, True, "accepted", 0.8, 0.1, 1.0),
     ]
     assert slam.loops.renumber(Renumbered(5, [2, 3])) == {"accepted": 1, "rejected": 1}
-    assert [(v.i, v.j) for v in slam.loops.verdicts] == [(0, 2)]
+    assert [(v.i, v.j) for v in slam.loops.closure_results] == [(0, 2)]

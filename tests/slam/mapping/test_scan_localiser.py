@@ -7,12 +7,12 @@ from slam.drivers.simulators.laser import LASERS, take_scan
 from slam.drivers.simulators.world import World
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 
 from slam.mapping.keyframe import Keyframe, preparer
 from slam.mapping.scan_localiser import LocaliseConfig, ScanLocaliser
 
-MOUNT = LaserMount(0, 0.0, 0.0, 0.0)
+MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 SCAN = ScanConfig()
 ROOM = World.from_polygon([(-4.0, -3.0), (5.0, -3.0), (5.0, 1.0), (2.0, 2.5), (-4.0, 3.5)])
 

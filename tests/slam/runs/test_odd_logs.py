@@ -8,7 +8,7 @@ from gtsam import Pose2
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.doctor import diagnose
 from slam.logs.mcap_log import LogWriter
-from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 from slam.logs.trajectory import read_tum
 
 from slam.runs.config_file import load_config
@@ -94,7 +94,9 @@ def test_two_lasers_on_one_channel(drive, played):
 
 
 def test_two_mounts(drive, played):
-    mounts = [LaserMount(m.stamp_ns, 0.3, 0.0, 0.0) for m in drive if isinstance(m, WheelOdometry)]
+    mounts = [
+        LaserExtrinsics(m.stamp_ns, 0.3, 0.0, 0.0) for m in drive if isinstance(m, WheelOdometry)
+    ]
     _, track, codes = played([*drive[:50], mounts[20], *drive[50:]])
     assert len(track) == SCANS
     assert codes["mount-changes"] == "error"

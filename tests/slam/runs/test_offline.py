@@ -7,10 +7,10 @@ import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
-from slam.logs.messages import LaserMount, LaserScan, TruePose, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 from slam.logs.trajectory import between
 
-from slam.mapping.scan_priors import warp
+from slam.mapping.scan_priors import drift_corrected
 from slam.runs.config_file import load_config
 from slam.runs.errors import SlamError
 from slam.runs.offline import run_offline
@@ -102,8 +102,8 @@ def only(messages, *kinds):
     ("change", "message"),
     [
         (lambda ms: [], "no usable scan among 0"),
-        (lambda ms: only(ms, LaserMount, WheelOdometry, TruePose), "no usable scan among 0"),
-        (lambda ms: only(ms, LaserMount, LaserScan), "no usable odometry"),
+        (lambda ms: only(ms, LaserExtrinsics, WheelOdometry, TruePose), "no usable scan among 0"),
+        (lambda ms: only(ms, LaserExtrinsics, LaserScan), "no usable odometry"),
         (
             lambda ms: [
                 replace(m, ranges=np.full(181, np.inf, dtype=np.float32))
@@ -131,7 +131,7 @@ def test_a_log_that_cannot_give_a_map_is_refused(office, change, message):
     [
         (WheelOdometry, {"x": np.nan}, "odometry that is not finite"),
         (WheelOdometry, {"theta": np.inf}, "odometry that is not finite"),
-        (LaserMount, {"y": np.nan}, "laser mount that is not finite"),
+        (LaserExtrinsics, {"y": np.nan}, "laser mount that is not finite"),
         (LaserScan, {"angle_step": 0.0}, "scan whose beams have no possible direction"),
         (LaserScan, {"angle_step": 1.0}, "scan whose beams have no possible direction"),
         (LaserScan, {"angle_min": np.nan}, "scan whose beams have no possible direction"),
@@ -161,9 +161,9 @@ def test_odometry_is_bent_onto_the_keyframes():
     """The wheels say 1 m a scan; the graph says that the second keyframe is at 2.4 m, not 2."""
     odometry = np.array([[float(k), 0.0, 0.0] for k in range(4)])
     keyframes = np.array([[0.0, 0.0, 0.0], [2.4, 0.0, 0.0]])
-    poses = warp(odometry, np.array([0, 0, 1, 1]), np.array([0, 2]), keyframes)
+    poses = drift_corrected(odometry, np.array([0, 0, 1, 1]), np.array([0, 2]), keyframes)
     np.testing.assert_allclose(poses[:, 0], [0.0, 1.2, 2.4, 3.4], atol=1e-9)
     turned = np.array([[0.0, 0.0, 0.0], *[[p.x(), p.y(), p.theta()] for p in [Pose2(2, 0, 0.2)]]])
-    bent = warp(odometry, np.array([0, 0, 1, 1]), np.array([0, 2]), turned)
+    bent = drift_corrected(odometry, np.array([0, 0, 1, 1]), np.array([0, 2]), turned)
     np.testing.assert_allclose(bent[[0, 2]], turned, atol=1e-9)
     np.testing.assert_allclose(bent[1, 2], 0.1, atol=1e-9)

@@ -10,7 +10,7 @@ from slam.backend.pose_graph import GraphConfig, PoseGraph
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import LogWriter
-from slam.logs.messages import LaserMount, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, WheelOdometry
 from slam.logs.trajectory import compose, read_tum
 
 from slam.evaluation.metrics import align
@@ -18,7 +18,7 @@ from slam.mapping.config import SlamConfig
 from slam.runs.errors import RunError, SlamError
 from slam.runs.offline import run_offline
 from slam.runs.replay import replay
-from slam.runs.resume import read_past
+from slam.runs.resume import read_prior_map
 
 CONFIG = SlamConfig()
 
@@ -39,9 +39,9 @@ def halves():
         pose = odom_T_start.between(Pose2(m.x, m.y, m.theta))
         return replace(m, x=pose.x(), y=pose.y(), theta=pose.theta())
 
-    mount = replace(messages[0], stamp_ns=second[0].stamp_ns)
-    assert isinstance(mount, LaserMount)
-    return first, [mount, *(anew(m) for m in second)]
+    extrinsics = replace(messages[0], stamp_ns=second[0].stamp_ns)
+    assert isinstance(extrinsics, LaserExtrinsics)
+    return first, [extrinsics, *(anew(m) for m in second)]
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +64,9 @@ def ate(result):
 
 @pytest.mark.parametrize("start", ["", "end"])
 def test_a_drive_cut_in_two_gives_one_good_map(halves, first_run, start):
-    past = read_past(first_run, CONFIG, start)
-    result = run_offline(lambda: halves[1], CONFIG, past=past)
-    old = len(past.keyframes)
+    prior_map = read_prior_map(first_run, CONFIG, start)
+    result = run_offline(lambda: halves[1], CONFIG, prior_map=prior_map)
+    old = len(prior_map.keyframes)
     assert len(result.keyframes) > old + 50
     np.testing.assert_array_equal(
         result.keyframes.stamps_ns[:old], read_tum(first_run / "keyframes.tum").stamps_ns
@@ -84,22 +84,22 @@ def test_another_building_is_not_taken_for_the_map(first_run):
     late = 10**12
     moved = [replace(m, stamp_ns=m.stamp_ns + late) for m in elsewhere]
     with pytest.raises(SlamError, match=r"not found in the map.* --start"):
-        run_offline(lambda: moved, CONFIG, past=read_past(first_run, CONFIG))
+        run_offline(lambda: moved, CONFIG, prior_map=read_prior_map(first_run, CONFIG))
 
 
 def test_a_log_that_is_older_than_the_map_is_refused(halves, first_run):
     with pytest.raises(SlamError, match="older than the run"):
-        run_offline(lambda: halves[0], CONFIG, past=read_past(first_run, CONFIG))
+        run_offline(lambda: halves[0], CONFIG, prior_map=read_prior_map(first_run, CONFIG))
 
 
 @pytest.mark.parametrize("start", ["here", "1,2", "nan,0,0"])
 def test_a_start_that_is_no_pose_is_refused(first_run, start):
     with pytest.raises(RunError, match=f"start '{start}'"):
-        read_past(first_run, CONFIG, start)
+        read_prior_map(first_run, CONFIG, start)
 
 
 def test_a_restored_graph_is_the_graph(first_run):
-    past = read_past(first_run, CONFIG)
-    graph = PoseGraph.restored(past.poses, past.edges, GraphConfig())
-    assert len(graph) == len(past.keyframes)
-    np.testing.assert_allclose(graph.poses, past.poses, atol=0.01)
+    prior_map = read_prior_map(first_run, CONFIG)
+    graph = PoseGraph.restored(prior_map.poses, prior_map.edges, GraphConfig())
+    assert len(graph) == len(prior_map.keyframes)
+    np.testing.assert_allclose(graph.poses, prior_map.poses, atol=0.01)

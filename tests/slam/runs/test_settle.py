@@ -5,9 +5,9 @@ import pytest
 from gtsam import Pose2
 from slam.backend.pose_graph import Edge, PoseGraph
 from slam.frontend.loop_search import Closure
-from slam.logs.messages import LoopVerdict
+from slam.logs.messages import LoopResult
 
-from slam.mapping.loop_closing import Candidate
+from slam.mapping.loop_closing import LoopCandidate
 from slam.mapping.slam import Slam
 from slam.runs.config_file import load_config
 from slam.runs.offline import READMITTED, settle
@@ -27,9 +27,11 @@ def measured(i, j, slip=0.0):
 
 def candidate(slam, i, j, pose, reason):
     """A closure with its verdict, as the loop closer leaves it behind."""
-    slam.loops.verdicts.append(LoopVerdict(j, i, j, reason == "accepted", reason, 0.7, 0.0, 40.0))
+    slam.loops.closure_results.append(
+        LoopResult(j, i, j, reason == "accepted", reason, 0.7, 0.0, 40.0)
+    )
     edge = Edge("loop", i, j, pose, SURE)
-    return Candidate(edge, Closure(None, 0.7, 0.0, ""), j, 0.5 * j, 40.0, 5.0)
+    return LoopCandidate(edge, Closure(None, 0.7, 0.0, ""), j, 0.5 * j, 40.0, 5.0)
 
 
 @pytest.fixture
@@ -47,9 +49,9 @@ def bent():
     slam.records.add_edge(last, first.edge, True, "")
     for k in range(1, 10):
         true = candidate(slam, k, last - k, measured(k, last - k), "chi-square 40.0 against ...")
-        slam.loops.refuted.append(true)
+        slam.loops.rejected.append(true)
     false = candidate(slam, 3, 30, measured(3, 30, 2.0), "chi-square 40.0 against ...")
-    slam.loops.refuted.append(false)
+    slam.loops.rejected.append(false)
     settle(slam)
     return slam
 
@@ -60,11 +62,11 @@ def test_closures_that_the_rest_sides_with_are_admitted_in_the_end(bent):
     assert max(np.hypot(p.x(), p.y()) for p in away) < 0.05
     back = {(f.i, f.j) for f in bent.records.factors if f.kind == "loop" and f.used}
     assert back == {(k, 2 * OUT - k) for k in range(1, 10)}
-    assert all(v.reason == READMITTED for v in bent.loops.verdicts if v.accepted)
+    assert all(v.reason == READMITTED for v in bent.loops.closure_results if v.accepted)
 
 
 def test_what_nothing_sides_with_stays_refused_and_says_why(bent):
-    refused = {(v.i, v.j): v.reason for v in bent.loops.verdicts if not v.accepted}
+    refused = {(v.i, v.j): v.reason for v in bent.loops.closure_results if not v.accepted}
     assert set(refused) == {(0, 2 * OUT), (3, 30)}
     assert refused[0, 2 * OUT].startswith("withdrawn: chi-square")
     assert refused[3, 30].startswith("chi-square 40.0 against the graph")

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numba import typeof
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount
+from slam.logs.messages import LaserExtrinsics
 
-from slam.runs.compiling.second_process import blank_scan, compiling_beside
+from slam.runs.compiling.second_process import blank_scan, compiling_in_second_process
 from slam.runs.compiling.simulated_room import measure_room
 from slam.runs.compiling.warmup import warm_up
 from slam.runs.config_file import load_config
 
 
 def test_a_blank_scan_has_arrays_of_the_kinds_that_real_ones_have():
-    real = prepare(measure_room(0, 0.0), LaserMount(0, 0.0, 0.0, 0.0), ScanConfig())
+    real = prepare(measure_room(0, 0.0), LaserExtrinsics(0, 0.0, 0.0, 0.0), ScanConfig())
     blank = blank_scan(len(real.points))
     for name, array in real._asdict().items():
         parts = array if name == "alone" else [array]
@@ -29,7 +29,7 @@ def test_a_blank_scan_has_arrays_of_the_kinds_that_real_ones_have():
 
 def test_a_second_process_that_fails_is_not_missed(monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with compiling_beside():
+    with compiling_in_second_process():
         done = True
     assert done
 
@@ -39,7 +39,7 @@ def test_a_second_process_does_not_outlive_a_first_that_is_stopped(monkeypatch, 
     sleeper.write_text(f"#!/bin/sh\necho $$ > {tmp_path}/pid\nexec sleep 60\n")
     sleeper.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(sleeper))
-    with pytest.raises(KeyboardInterrupt), compiling_beside():
+    with pytest.raises(KeyboardInterrupt), compiling_in_second_process():
         _stop_once_there(tmp_path / "pid")
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)

@@ -11,13 +11,13 @@ from slam.drivers.simulators.faults import OdometryFault
 from slam.drivers.simulators.laser import LASERS
 from slam.drivers.simulators.robot import ODOMETRY_NOISE
 from slam.drivers.simulators.worlds import SCENARIOS, scenario
-from slam.logs.messages import LaserMount, LaserScan, WheelOdometry
+from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
 from slam.tools.doctor.motion_check import MotionCheck
 from slam.tools.doctor.motion_fit import fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Blocks, PairCollector
 
-MOUNT = LaserMount(EPOCH_NS, 0.16, 0.0, 0.0)
+MOUNT = LaserExtrinsics(EPOCH_NS, 0.16, 0.0, 0.0)
 
 
 def findings(messages):
@@ -72,7 +72,7 @@ def test_reversing_that_is_reported_as_going_forward():
 @pytest.mark.parametrize("degrees", [-4.0, 3.0, 180.0])
 def test_a_laser_that_looks_elsewhere_than_the_log_says(degrees):
     turned = office(base_T_laser=Pose2(0.16, 0.0, math.radians(degrees)))
-    found = findings(MOUNT if isinstance(m, LaserMount) else m for m in turned)
+    found = findings(MOUNT if isinstance(m, LaserExtrinsics) else m for m in turned)
     assert found.keys() == {"mount-yaw"}
     finding = found["mount-yaw"]
     assert finding.severity == ("error" if degrees == 180.0 else "warning")
@@ -80,7 +80,7 @@ def test_a_laser_that_looks_elsewhere_than_the_log_says(degrees):
 
 
 def test_a_laser_that_sits_elsewhere_than_the_log_says(sound):
-    found = findings(replace(m, x=-0.1) if isinstance(m, LaserMount) else m for m in sound)
+    found = findings(replace(m, x=-0.1) if isinstance(m, LaserExtrinsics) else m for m in sound)
     assert found.keys() == {"mount-place"}
     assert "(0.16, " in found["mount-place"].text
 
@@ -103,7 +103,7 @@ def test_a_laser_upside_down(sound):
 def test_what_cannot_be_judged_is_not_judged(sound):
     nothing = [replace(m, ranges=np.full_like(m.ranges, np.inf)) for m in sound[:900:3]
                if isinstance(m, LaserScan)]  # fmt: skip
-    broken = [WheelOdometry(1, math.nan, 0.0, 0.0), LaserMount(1, math.inf, 0.0, 0.0)]
+    broken = [WheelOdometry(1, math.nan, 0.0, 0.0), LaserExtrinsics(1, math.inf, 0.0, 0.0)]
     for messages in ([], broken, nothing, sound[:60], [*broken, *sound[:60], *sound[:60]]):
         assert findings(messages) == {}
 

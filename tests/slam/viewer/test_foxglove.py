@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 import pytest
-from slam.logs.messages import DeviceHealth, LaserMount, LogLine
+from slam.logs.messages import DeviceHealth, LaserExtrinsics, LogLine
 from slam.logs.schemas import CHANNELS, decode
 from websockets.sync.client import connect
 
@@ -74,9 +74,11 @@ def test_a_client_gets_the_topics_of_the_log_with_their_schemas(drive, server):
         client = Client(socket)
         client.wait(lambda: client.schemas.keys() >= schemas.keys())
         client.subscribe()
-        mount = LaserMount(1, 0.0, 0.0, 0.0)  # until the subscription is known on the other side
+        extrinsics = LaserExtrinsics(
+            1, 0.0, 0.0, 0.0
+        )  # until the subscription is known on the other side
         client.wait(
-            lambda: bool(client.got), lambda: server.put_messages(Slam(SlamConfig()), mount)
+            lambda: bool(client.got), lambda: server.put_messages(Slam(SlamConfig()), extrinsics)
         )
         result = drive.run(viewers)
         viewers.finish(result)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam.logs.messages import LaserScan, LoopVerdict
+from slam.logs.messages import LaserScan, LoopResult
 
 from slam.runs.status import Status
 from slam.viewer.frames import BATCH, MOST_BEAMS, Feed
@@ -64,15 +64,15 @@ def test_keyframes_that_moved_are_told_and_creeping_ones_too_in_the_end(snapshot
 
 def test_closures_are_told_once_and_all_again_when_some_are_withdrawn(snapshot):
     feed = Feed()
-    a, b = (LoopVerdict(1, 0, k, True, "accepted", 0.9, 0.1, 1.0) for k in (5, 6))
-    frames = told(feed, replace(snapshot, verdicts=(a,)))
+    a, b = (LoopResult(1, 0, k, True, "accepted", 0.9, 0.1, 1.0) for k in (5, 6))
+    frames = told(feed, replace(snapshot, closure_results=(a,)))
     assert next(f for f in frames if f["type"] == "closures")["items"] == [[0, 5, True, "accepted"]]
-    (closures, _) = told(feed, replace(snapshot, verdicts=(a, b)))
+    (closures, _) = told(feed, replace(snapshot, closure_results=(a, b)))
     assert (closures["first"], closures["items"]) == (1, [[0, 6, True, "accepted"]])
     withdrawn = replace(a, accepted=False, reason="withdrawn")
-    (closures, _) = told(feed, replace(snapshot, verdicts=(withdrawn, b)))
+    (closures, _) = told(feed, replace(snapshot, closure_results=(withdrawn, b)))
     assert (closures["first"], len(closures["items"])) == (0, 2)
-    assert kinds(told(feed, replace(snapshot, verdicts=(withdrawn, b)))) == ["state"]
+    assert kinds(told(feed, replace(snapshot, closure_results=(withdrawn, b)))) == ["state"]
 
 
 def test_ranges_are_centimetres_and_what_is_no_wall_is_marked(snapshot):
