@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from slam.backend.edges import Edge, GraphError, Matrix, residuals
 
 SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
+ANCHOR_SIGMA = 1e-3  # m and rad: the first pose defines the map frame, so it is held
 OUTLIER = 0.5  # a loop of less weight is left out
 COARSE, FINE = 1e-4, 1e-6  # relative change of the error that ends a rival, and the last word
 NARROWING = ((30.0, 8), (10.0, 8), (3.0, 50))  # kernel in sigmas, iterations
@@ -26,8 +27,6 @@ class GraphConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    anchor_sigma_trans: float = Field(1e-3, gt=0, description="m, prior on the first pose")
-    anchor_sigma_rot: float = Field(1e-3, gt=0, description="rad, prior on the first pose")
     odometry_kernel: float = Field(
         1.0, gt=0, description="sigmas at which an odometry factor starts to weigh less (Cauchy)"
     )
@@ -39,11 +38,6 @@ class GraphConfig(BaseModel):
         0.008, ge=0, description="m, added to every match: what real places do to its model"
     )
     match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
-    relinearise_trans: float = Field(
-        0.5, gt=0, description="m that a pose moves before ISAM2 linearises it anew"
-    )
-    relinearise_rot: float = Field(0.02, gt=0, description="rad, the same for its heading")
-    relinearise_skip: int = Field(1, ge=1, description="updates between relinearisations, ISAM2")
     reject_loops: bool = Field(
         True, description="let the batch leave out loops that the whole graph contradicts"
     )
@@ -65,8 +59,7 @@ class FactorMaker:
 
     def __init__(self, config: GraphConfig) -> None:
         self.config = config
-        sigmas = [config.anchor_sigma_trans, config.anchor_sigma_trans, config.anchor_sigma_rot]
-        self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+        self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, ANCHOR_SIGMA))
         # A batch asks for each many times.
         self._weights: dict[Edge, Matrix] = {}
         self._gaussians: dict[Edge, gtsam.noiseModel.Gaussian] = {}

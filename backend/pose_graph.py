@@ -13,14 +13,17 @@ from slam.backend.batch import (
     FactorMaker,
     GraphConfig,
     chi_squares,
-    optimise,
     values_of,
 )
 from slam.backend.edges import Edge, GraphError, Matrix, relative_covariance
+from slam.backend.final import FinalGraph, finalise
 from slam.backend.pruning import Pruned, prune
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 
+# A pose that moves farther than this is linearised anew by ISAM2.  Between factors bend with the
+# heading alone, so the limit in metres is wide.
+RELINEARISE_M, RELINEARISE_RAD = 0.5, 0.02
 SETTLE = 3  # further ISAM2 updates after a loop that turns poses, at most
 
 
@@ -30,7 +33,6 @@ class PoseGraph:
     def __init__(self, map_T_first: Pose2, config: GraphConfig) -> None:
         self.config = config
         self.edges: list[Edge] = []
-        self.loop_weights: dict[int, float] = {}  # of the last batch: index into edges
         self._maker = FactorMaker(config)
         self._first = map_T_first
         self._isam = self._begun("CHOLESKY")
@@ -112,7 +114,7 @@ class PoseGraph:
         self._refresh(self._isam.calculateEstimate())
         for _ in range(SETTLE):  # what is turned much at once has to be linearised anew
             turns = np.abs(np.sin(self.poses[:, 2] - headings))
-            if turns.max() < self.config.relinearise_rot:
+            if turns.max() < RELINEARISE_RAD:
                 break
             headings = self.poses[:, 2].copy()
             self._isam.update()
@@ -128,17 +130,6 @@ class PoseGraph:
         maker = self._maker.renamed(zip(left.untouched, left.edges, strict=False))
         poses = self.poses[left.index.stays]
         return PoseGraph.restored(poses, left.edges, self.config, maker), left
-
-    def drop(self, edge: Edge) -> None:
-        """Leave an edge out of all further batch optimisation.
-
-        Raises:
-            GraphError: it is not in the graph.
-        """
-        index = next((k for k, known in enumerate(self.edges) if known is edge), None)
-        if index is None:
-            raise GraphError(f"{edge.kind} edge {edge.i}-{edge.j} is not in the graph")
-        del self.edges[index]
 
     def weight(self, edge: Edge) -> Matrix:
         """(3, 3) information with which an edge is optimised."""
@@ -182,16 +173,20 @@ class PoseGraph:
             found.append((i_T_j, relative_covariance(np.block(blocks), i_T_j)))
         return found
 
-    def optimise(self) -> Matrix:
-        """Optimise everything in one batch from the current estimates; (n, 3) poses.
+    def finalise(self, candidates: Sequence[Edge] = ()) -> FinalGraph:
+        """Optimise everything in one batch, and leave out the loops that the whole contradicts.
+
+        Args:
+            candidates: loops that were refused along the way, which get another chance.  They
+                count as edges behind those of the graph in `FinalGraph.removed`.
 
         Raises:
             GraphError: the optimiser gave up.
         """
-        result = optimise(self.poses, self.edges, self._maker)
-        self.loop_weights = result.loop_weights
-        self._poses[: self._count] = result.poses
-        return self.poses.copy()
+        final = finalise(self.poses, [*self.edges, *candidates], self._maker)
+        self.edges = list(final.edges)
+        self._poses[: self._count] = final.poses
+        return final
 
     def _check(self, edges: Sequence[Edge]) -> None:
         for edge in edges:
@@ -200,7 +195,7 @@ class PoseGraph:
 
     def _begun(self, factorization: str) -> gtsam.ISAM2:
         """A fresh ISAM2 that holds keyframe 0."""
-        parameters = _isam_parameters(self.config)
+        parameters = _isam_parameters()
         parameters.setFactorization(factorization)
         isam = gtsam.ISAM2(parameters)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -257,17 +252,17 @@ def _first_line(error: Exception) -> str:
     return next((line for line in str(error).splitlines() if line.strip()), "no reason given")
 
 
-def _isam_parameters(config: GraphConfig) -> gtsam.ISAM2Params:
+def _isam_parameters() -> gtsam.ISAM2Params:
     """Between factors bend with the heading alone: a shifted pose needs no new linearisation.
 
     Which poses do is looked for from the tree's root down, as far as there are any: to go through
-    all of them would make each keyframe dearer than the last.
+    all of them would make each keyframe more expensive than the last.
     """
     thresholds = gtsam.ISAM2ThresholdMap()
-    trans, rot = config.relinearise_trans, config.relinearise_rot
-    thresholds.insert(("x", np.array([trans, trans, rot])))
+    limits = [RELINEARISE_M, RELINEARISE_M, RELINEARISE_RAD]
+    thresholds.insert(("x", np.array(limits)))
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(thresholds)
-    parameters.relinearizeSkip = config.relinearise_skip
+    parameters.relinearizeSkip = 1
     parameters.enablePartialRelinearizationCheck = True
     return parameters

@@ -97,7 +97,7 @@ def judged_closures(result: Result, true: Matrix) -> dict[str, int]:
     """
     accepted = [
         f for f in result.slam.records.factors
-        if f.kind == "loop" and (f.used or f.note.startswith("withdrawn"))
+        if f.kind == "loop" and (f.used or f.note.startswith("removed"))
     ]  # fmt: skip
     final = [f for f in accepted if f.used]
     wrong = [

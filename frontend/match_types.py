@@ -22,7 +22,8 @@ class MatchConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     method: Method = Field("point_to_line", description="how scans are aligned")
-    range_noise: float = Field(0.010, gt=0, description="m, one sigma of a single reading")
+    # A setting of the laser, handed on by the configuration of the run.
+    range_noise: float = Field(0.010, gt=0, exclude=True, description="m, one sigma")
     search_gate: float = Field(2.0, gt=0, description="m, pairing distance when nothing is known")
     final_gate: float = Field(0.15, gt=0, description="m, pairing distance of the last pass")
     final_scale: float = Field(0.04, gt=0, description="m, residual at which a pair weighs 1/4")

@@ -26,8 +26,9 @@ class ScanConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    range_noise: float = Field(0.010, gt=0, description="m, one sigma of a single reading")
-    max_range: float = Field(60.0, gt=0, description="m, readings beyond are not used")
+    # Settings of the laser, handed on by the configuration of the run.
+    range_noise: float = Field(0.010, gt=0, exclude=True, description="m, one sigma")
+    max_range: float = Field(60.0, gt=0, exclude=True, description="m, beyond it nothing is used")
     line_tolerance: float = Field(
         1.0, gt=0, description="sigmas of range_noise that count as noise when fitting a line"
     )

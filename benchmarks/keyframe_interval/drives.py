@@ -23,6 +23,8 @@ from slam.logs.trajectory import Trajectory
 
 from slam.evaluation.metrics import Association, absolute_errors, align
 from slam.mapping.config import SlamConfig
+from slam.mapping.keyframe import Keyframe
+from slam.mapping.keyframe_selection import KeyframeSelector
 from slam.mapping.scan_localiser import ScanLocaliser
 from slam.mapping.scan_priors import predict_poses
 from slam.mapping.slam import Slam
@@ -87,12 +89,19 @@ def _with(config: KeyframeConfig, **changes: object) -> KeyframeConfig:
     return KeyframeConfig.model_validate({**config.model_dump(), **changes})
 
 
-class _Misled(Slam):
-    """Foresees with each beam's line given to another beam: the counter-test of `information`."""
+class _MisledSelector(KeyframeSelector):
+    """Predicts with each beam's line given to another beam: the counter-test of `information`."""
 
-    def _predicted_from(self) -> PreparedScan:
-        scan = super()._predicted_from()
-        return permuted(scan, np.random.default_rng(len(self.keyframes)))
+    def _view(self, keyframe: Keyframe) -> PreparedScan:
+        return permuted(keyframe.prepared, np.random.default_rng(keyframe.index + 1))
+
+
+class _Misled(Slam):
+    """A run whose keyframes are chosen by the misled selector."""
+
+    def __init__(self, config: SlamConfig) -> None:
+        super().__init__(config)
+        self._selector = _MisledSelector(config)
 
 
 def permuted(scan: PreparedScan, rng: np.random.Generator) -> PreparedScan:

@@ -46,7 +46,7 @@ def _tables(model: type[BaseModel], section: str) -> Iterator[str]:
     rows = [
         f"| `{name}` | {_default(field)} | {_allowed(field)} | {_cell(field.description or '')} |"
         for name, field in model.model_fields.items()
-        if _model(field) is None
+        if _model(field) is None and not field.exclude
     ]
     if rows:
         about = f"{_first_line(model)}\n\n" if section else ""

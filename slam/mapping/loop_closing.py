@@ -1,12 +1,13 @@
-"""Loop closure: which old keyframes to try, and what it takes for a closure to be believed."""
+"""Loop closure: which old keyframes to try, and what it takes to accept a closure."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from gtsam import Pose2
@@ -23,6 +24,9 @@ from slam.mapping.keyframe import Keyframe, placed, view_centres
 from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
 from slam.mapping.records import pairs_left
 
+PLACES_APART_M = 3.0  # between places tried: one search covers a place of that size
+MIN_GAIN = 1.0  # nats; a closure that adds less information waits for the final optimisation
+
 
 class LoopConfig(BaseModel):
     """Loop closing."""
@@ -36,48 +40,55 @@ class LoopConfig(BaseModel):
         4.0, gt=0, description="m between what two scans look at, if they overlap"
     )
     places: int = Field(3, ge=1, description="distinct places tried per search")
-    places_apart_m: float = Field(3.0, gt=0, description="m between two such places")
     query_keyframes: int = Field(4, ge=1, description="latest keyframes that form the query")
     target_half: int = Field(
         4, ge=0, description="keyframes either side of the anchor in the target"
     )
-    narrow_prior_m: float = Field(0.8, gt=0, description="m, windows below need no second witness")
+    narrow_prior_m: float = Field(
+        0.8, gt=0, description="m, a prior narrower than this (3 sigma) needs no support"
+    )
     supporting_closures: int = Field(
-        2, ge=1, description="further closures that must agree with one from a wide window"
+        2, ge=1, description="other closures that must agree with one from a wide prior"
     )
-    pending_m: float = Field(15.0, gt=0, description="m of travel a closure waits for witnesses")
-    min_gain: float = Field(
-        1.0, ge=0, description="a closure that tells the graph less (nats) waits for the end"
-    )
+    pending_m: float = Field(15.0, gt=0, description="m of travel that a closure waits for support")
     gate: float = Field(
-        1e-3, gt=0, lt=1, description="chance of refusing a true closure by chi-square"
+        1e-3, gt=0, lt=1, description="probability of refusing a true closure by its chi-square"
     )
     search: LoopSearchConfig = LoopSearchConfig()
 
 
+Status = Literal["accepted", "pending", "rejected"]
+NO_SUPPORT = "no further closure agreed with it"
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class LoopCandidate:
-    """A closure that passed the search and waits to be believed."""
+    """A closure that passed the search."""
 
     edge: Edge
     closure: Closure
     stamp_ns: int
     travelled_m: float
     chi_square: float
-    gain: float  # nats by which it would shrink what the graph does not know of its ends
+    gain: float  # nats of information that it would add about the relative pose of its ends
+
+    @property
+    def refusal(self) -> str:
+        """Why the graph refuses it."""
+        return f"chi-square {self.chi_square:.1f} against the graph"
 
 
 class LoopCloser:
-    """Finds, verifies and admits loop closures; the caller adds them to the graph.
+    """Finds, verifies and accepts loop closures; the caller adds them to the graph.
 
-    `begin` and `close` come in turn: the search may run beside whatever is done in between.
+    `begin` and `close` alternate: the search may run in the background in between.
     """
 
     def __init__(self, config: LoopConfig, matcher: MatchConfig, submit: Submit) -> None:
         self.config = config
         self.closure_results: list[LoopResult] = []
-        self._searcher = LoopWorker(config.search, matcher, submit)
-        # Refused for the graph as it was then; the whole graph may side with them in the end.
+        self._worker = LoopWorker(config.search, matcher, submit)
+        # Refused for the graph as it was then; the whole graph may agree with them in the end.
         self.rejected: list[LoopCandidate] = []
         self._pending: list[LoopCandidate] = []
         self._searched_m = 0.0
@@ -87,27 +98,25 @@ class LoopCloser:
         self._limit = chi_square_limit(config.gate, 3)
 
     def moved(self) -> None:
-        """The graph changed its shape: forget maps of old places, which have moved within."""
-        self._searcher.forget()
+        """The graph changed its shape: forget the likelihood fields of old places."""
+        self._worker.forget()
 
     def renumber(self, index: Renumbered) -> Counter[str]:
-        """Keyframes have gone, and with them what was on record of them; counts of that."""
-        self._searcher.forget()
+        """Keyframes have been pruned, and with them their records; returns counts of those."""
+        self._worker.forget()
         self._looks_at, self._anchors_m = [], []
         self.rejected = _left(self.rejected, index)
         waited = len(self._pending)
         self._pending = _left(self._pending, index)
         self.closure_results, gone = pairs_left(self.closure_results, index)
-        counts = Counter(
-            "accepted" if closure_result.accepted else "rejected" for closure_result in gone
-        )
-        counts["rejected"] += waited - len(self._pending)  # no verdict will come
+        counts = Counter("accepted" if result.accepted else "rejected" for result in gone)
+        counts["rejected"] += waited - len(self._pending)  # they will get no result
         return counts
 
     @property
     def searching(self) -> bool:
-        """Whether a search is at work just now."""
-        return self._searcher.running
+        """Whether a search is running now."""
+        return self._worker.running
 
     def begin(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> bool:
         """Start a search for the newest keyframe; False if none is due."""
@@ -117,19 +126,24 @@ class LoopCloser:
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
         ask = partial(self._place_candidates, keyframes, graph, places)
-        self._searcher.begin(ask if places else None)
+        self._worker.begin(ask if places else None)
         return bool(places)
 
     def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[LoopCandidate]:
-        """Closures that are now believed, from the search begun last and ones that waited.
+        """Closures that are now accepted, from the search begun last and ones that were pending.
 
         Keyframes and graph must be as they were when it was begun.
         """
         accepted: list[LoopCandidate] = []
-        for place, closure in self._searcher.answers():
-            candidate = self._judge(keyframes, graph, place, closure)
-            if candidate is not None:
-                accepted += self._admit(candidate, graph, keyframes[-1].travelled_m)
+        for place, closure in self._worker.answers():
+            candidate = self._candidate(keyframes, graph, place, closure)
+            if candidate is None:
+                continue
+            status = self._judge(candidate, place)
+            if status == "accepted":
+                accepted.append(candidate)
+            elif status == "pending":
+                accepted += self._with_support(candidate, graph, keyframes[-1].travelled_m)
         return accepted
 
     def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
@@ -152,7 +166,7 @@ class LoopCloser:
         chosen: list[int] = []
         for k in near:
             apart = [np.hypot(*(centres[other] - centres[k])) for other in chosen]
-            if all(distance > self.config.places_apart_m for distance in apart):
+            if all(distance > PLACES_APART_M for distance in apart):
                 chosen.append(k)
             if len(chosen) == self.config.places:
                 break
@@ -179,70 +193,66 @@ class LoopCloser:
             places_to_try.append(PlaceCandidate(anchor, old, query, *known))
         return places_to_try
 
-    def _judge(
+    def _candidate(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, place: PlaceCandidate,
         closure: Closure,
     ) -> LoopCandidate | None:  # fmt: skip
-        newest, anchor = keyframes[-1].index, place.anchor
-        predicted, covariance = place.predicted, place.covariance
-        stamp_ns = keyframes[-1].scan.stamp_ns
+        """The closure as an edge, weighed against the graph; None if the search refused it."""
+        newest, stamp_ns = keyframes[-1], keyframes[-1].scan.stamp_ns
         result = closure.result
         if closure.reason or result is None:
-            self._record(stamp_ns, anchor, newest, closure, closure.reason, np.nan)
+            self._record(stamp_ns, place.anchor, newest.index, closure, closure.reason, np.nan)
             return None
-        edge = Edge("loop", anchor, newest, result.target_T_source, result.information)
-        error = Pose2.Logmap(predicted.between(result.target_T_source))
-        known = np.linalg.inv(covariance)
+        edge = Edge("loop", place.anchor, newest.index, result.target_T_source, result.information)
+        error = Pose2.Logmap(place.predicted.between(result.target_T_source))
+        known = np.linalg.inv(place.covariance)
         # The match counts with what the graph will give it, not with its bare range noise.
-        weight = known - known @ np.linalg.solve(known + graph.weight(edge), known)
+        information = graph.weight(edge)
+        weight = known - known @ np.linalg.solve(known + information, known)
         chi_square = float(error @ weight @ error)
-        travelled = keyframes[-1].travelled_m
-        gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + covariance @ graph.weight(edge))[1])
-        candidate = LoopCandidate(edge, closure, stamp_ns, travelled, chi_square, gain)
-        if chi_square > self._limit:
-            self._conclude(candidate, f"chi-square {chi_square:.1f} against the graph")
+        gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + place.covariance @ information)[1])
+        return LoopCandidate(edge, closure, stamp_ns, newest.travelled_m, chi_square, gain)
+
+    def _judge(self, candidate: LoopCandidate, place: PlaceCandidate) -> Status:
+        """Accept what the graph expects, refuse what it contradicts; the rest needs support."""
+        if candidate.chi_square > self._limit:
+            self._conclude(candidate, candidate.refusal)
             self.rejected.append(candidate)
-            return None
-        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-        if 3 * sigma > self.config.narrow_prior_m:
-            if result.degenerate_direction is None:
-                return candidate
-            self._conclude(candidate, "it does not tell where along the walls")
-            return None
-        self._record(stamp_ns, anchor, newest, closure, "accepted", chi_square)
-        self._accepted_now = candidate
-        return candidate
+            return "rejected"
+        sigma = float(np.sqrt(np.linalg.eigvalsh(place.covariance[:2, :2])[-1]))
+        if 3 * sigma <= self.config.narrow_prior_m:
+            self._conclude(candidate, "accepted")
+            return "accepted"
+        result = candidate.closure.result
+        if result is None or result.degenerate_direction is not None:
+            self._conclude(candidate, "the match does not fix the position along the walls")
+            return "rejected"
+        return "pending"
 
-    _accepted_now: LoopCandidate | None = None
-
-    def _admit(
+    def _with_support(
         self, candidate: LoopCandidate, graph: PoseGraph, travelled_m: float
     ) -> list[LoopCandidate]:
-        """The closures believed now: a tight one at once, a wide one with its witnesses."""
-        if candidate is self._accepted_now:
-            self._accepted_now = None
-            return [candidate]
-        kept = []
-        for waiting in self._pending:
-            if travelled_m - waiting.travelled_m > self.config.pending_m:
-                self._conclude(waiting, "no further closure agreed with it")
+        """The closures that are accepted once enough of those that wait agree with this one."""
+        waiting = []
+        for other in self._pending:
+            if travelled_m - other.travelled_m > self.config.pending_m:
+                self._conclude(other, NO_SUPPORT)
             else:
-                kept.append(waiting)
-        self._pending = kept
-        agreeing = [w for w in kept if self._consistent(w.edge, candidate.edge, graph)]
+                waiting.append(other)
+        agreeing = [w for w in waiting if self._consistent(w.edge, candidate.edge, graph)]
         if len(agreeing) < self.config.supporting_closures:
-            self._pending.append(candidate)
+            self._pending = [*waiting, candidate]
             return []
-        self._pending = [w for w in kept if not any(w is a for a in agreeing)]
-        accepted_edges = [*agreeing, candidate]
-        for one in accepted_edges:
+        self._pending = [w for w in waiting if not any(w is a for a in agreeing)]
+        accepted = [*agreeing, candidate]
+        for one in accepted:
             self._conclude(one, "accepted")
-        return accepted_edges
+        return accepted
 
     def _consistent(self, a: Edge, b: Edge, graph: PoseGraph) -> bool:
-        """Pairwise consistency (Mangelson et al. 2018): do both closures tell the same story?"""
+        """Pairwise consistency (Mangelson et al. 2018): does the circle over both close?"""
         if a.j == b.j:
-            return False  # two answers to one question are no witnesses of each other
+            return False  # two results of one search do not support each other
         new, new_cov = graph.relative(a.j, b.j)
         old, old_cov = (Pose2(), np.zeros((3, 3))) if a.i == b.i else graph.relative(a.i, b.i)
         # a.i -> a.j -> b.j against a.i -> b.i -> b.j
@@ -259,10 +269,18 @@ class LoopCloser:
         return float(error @ np.linalg.solve(covariance, error)) < self._limit
 
     def finish(self) -> None:
-        """Give the closures that still wait their verdict."""
+        """Refuse the closures that are still pending."""
         for waiting in self._pending:
-            self._conclude(waiting, "no further closure agreed with it")
+            self._conclude(waiting, NO_SUPPORT)
         self._pending = []
+
+    def judge(self, judged: Mapping[tuple[int, int], tuple[bool, str]]) -> None:
+        """Replace results by those of the final optimisation: (used, why), by keyframes i and j."""
+        self.closure_results = [
+            replace(r, accepted=judged[r.i, r.j][0], reason=judged[r.i, r.j][1])
+            if (r.i, r.j) in judged else r
+            for r in self.closure_results
+        ]  # fmt: skip
 
     def _conclude(self, candidate: LoopCandidate, reason: str) -> None:
         self._record(

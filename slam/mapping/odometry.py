@@ -1,8 +1,10 @@
-"""Wheel odometry: its poses at scan times, and how far it can be trusted."""
+"""Wheel odometry: its poses at scan times, its error model, and the robot's limits."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
+from typing import Protocol
 
 import numpy as np
 from gtsam import Pose2
@@ -10,6 +12,35 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from slam.logs.messages import WheelOdometry
+
+
+class Moving(Protocol):
+    """Anything with a speed and a turn rate."""
+
+    @property
+    def speed(self) -> float:
+        """m/s, without sign."""
+        ...
+
+    @property
+    def turn_rate(self) -> float:
+        """rad/s, without sign."""
+        ...
+
+
+class RobotLimits(BaseModel):
+    """What the robot can do at most; the defaults are the P3-DX's absolute limits."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    max_speed: float = Field(2.2, gt=0, description="m/s; faster motion is a fault")
+    max_turn_rate: float = Field(5.2, gt=0, description="rad/s; a faster turn is a fault")
+
+    def can_move(self, steps: Iterable[Moving]) -> bool:
+        """Whether no step is faster than the robot can move."""
+        return all(
+            step.speed <= self.max_speed and step.turn_rate <= self.max_turn_rate for step in steps
+        )
 
 
 class OdometryConfig(BaseModel):
@@ -30,10 +61,9 @@ class OdometryConfig(BaseModel):
     sync: float = Field(
         0.05, ge=0, description="s by which odometry and scan may disagree on what time it is"
     )
-    max_speed: float = Field(
-        2.2, gt=0, description="m/s, the P3-DX's absolute maximum; faster is a lie"
+    lost_inflation: float = Field(
+        10.0, ge=1, description="factor on the sigmas where neither odometry nor match is trusted"
     )
-    max_turn_rate: float = Field(5.2, gt=0, description="rad/s, likewise (300 deg/s)")
 
     def covariance(self, distance: float, turn: float, seconds: float) -> NDArray[np.float64]:
         """(3, 3) of (x, y, theta) of a step, in the frame where it ends.

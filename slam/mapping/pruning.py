@@ -1,6 +1,6 @@
-"""Keyframes that nobody would miss: where a robot has come by often enough, the map is full.
+"""Removes redundant keyframes: where a robot has passed often enough, more of them add nothing.
 
-Without it a graph grows with the time, with it only with the ground covered (cf. Johannsson et
+Without it a graph grows with time, with it only with the area covered (cf. Johannsson et
 al. 2013, "Temporally scalable visual SLAM using a reduced pose graph").
 """
 
@@ -24,28 +24,28 @@ from slam.mapping.loop_worker import Submit
 
 Matrix = NDArray[np.float64]
 
+# A new graph is made when this many keyframes can go, and this share of all: it costs a tenth of a
+# second at 600 keyframes, and grows with the graph.
+PRUNED_AT_ONCE, PRUNED_SHARE = 64, 0.1
+
 
 class PruningConfig(BaseModel):
-    """Leaving keyframes out of the graph where it knows a place well enough."""
+    """Removing keyframes from the graph where others have the same view."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     min_redundancy: int = Field(
-        8, ge=0, description="older keyframes with the same view that make one dispensable; "
+        8, ge=0, description="older keyframes with the same view that make one redundant; "
         "0 keeps all"
     )  # fmt: skip
     within_m: float = Field(
         0.5, gt=0, description="m between two views that count as the same, of the robot and "
         "what it looks at together"
     )  # fmt: skip
-    at_once: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
-    share: float = Field(
-        0.1, ge=0, le=1, description="the same as a share of all, where that is more"
-    )
 
 
 class FormerPlaces:
-    """Where keyframes that are gone were, for the scans around them: 40 bytes each."""
+    """Where pruned keyframes were, for the scans around them: 40 bytes each."""
 
     def __init__(self) -> None:
         self._scans, self._anchors = array("q"), array("q")
@@ -82,9 +82,9 @@ class FormerPlaces:
 
 
 class Pruner:
-    """Judges each keyframe once, when it is old enough for loops, and parts with many at once.
+    """Judges each keyframe once, when it is old enough for loops, and removes many at once.
 
-    The smaller graph is made `submit` the step, as loop searches are: it takes a tenth of a second.
+    The smaller graph is made in the background, as loop searches are.
     """
 
     def __init__(self, config: PruningConfig, old_m: float, submit: Submit) -> None:
@@ -96,10 +96,10 @@ class Pruner:
         self._redundant: list[int] = []
         # Of keyframes not judged yet, also those that were refused for the graph as it was.
         self._closures: dict[int, list[Edge]] = {}
-        self._sound = False  # whether the graph agrees with the last closures passed
+        self._agrees = False  # whether the graph agrees with the last closures passed
 
     def add_closures(self, edges: Iterable[Edge]) -> None:
-        """Hear of closures, whether believed or refuted by the graph."""
+        """Take note of closures, whether accepted or refused by the graph."""
         for edge in edges:
             if edge.j >= self._judged:
                 self._closures.setdefault(edge.j, []).append(edge)
@@ -111,7 +111,7 @@ class Pruner:
     def due(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, odometry_faulty: Collection[int]
     ) -> bool:
-        """Judge those that have become old; whether enough are dispensable by now.
+        """Judge those that have become old; whether enough are redundant by now.
 
         `odometry_faulty` are scans to which the odometry did not lead: their keyframes are kept.
         """
@@ -122,16 +122,14 @@ class Pruner:
             if now_m - keyframes[k].travelled_m <= self._old_m:
                 break
             if edges := self._closures.pop(k, None):
-                self._sound = all(graph.agrees(edge) for edge in edges)
+                self._agrees = all(graph.agrees(edge) for edge in edges)
             if (
-                self._sound and keyframes[k].scan_index not in odometry_faulty
+                self._agrees and keyframes[k].scan_index not in odometry_faulty
                 and self._is_redundant(keyframes, graph, k) and self._agrees_ahead(graph)
             ):  # fmt: skip
                 self._redundant.append(k)
             self._judged += 1
-        return len(self._redundant) >= max(
-            self._config.at_once, self._config.share * len(keyframes)
-        )
+        return len(self._redundant) >= max(PRUNED_AT_ONCE, PRUNED_SHARE * len(keyframes))
 
     def begin(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, odometry_faulty: Collection[int]
@@ -145,7 +143,7 @@ class Pruner:
     def take(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph
     ) -> tuple[PoseGraph, Pruned] | None:
-        """The graph without the dispensable ones, and what became of its edges; None: not begun."""
+        """The graph without the redundant ones, and what became of its edges; None: not begun."""
         if self._making is None:
             return None
         smaller, left = self._making.result()
@@ -172,7 +170,7 @@ class Pruner:
         return all(graph.agrees(edge) for edge in self._closures[min(self._closures)])
 
     def _is_redundant(self, keyframes: Sequence[Keyframe], graph: PoseGraph, k: int) -> bool:
-        """Whether enough others show the same, and the graph is sure that they do."""
+        """Whether enough others have the same view, and the graph is certain of that (3 sigma)."""
         poses, within = graph.poses[: k + 1], self._config.within_m
         near = np.flatnonzero(np.abs(poses[:, 0] - poses[k, 0]) <= within)
         near = near[np.abs(poses[near, 1] - poses[k, 1]) <= within]

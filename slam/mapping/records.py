@@ -1,9 +1,9 @@
-"""What a run keeps on record of its decisions, factors and poses."""
+"""What a run records of its decisions, factors and poses."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -33,7 +33,7 @@ def decision_record(
         reason: as `reason_to_keep` gives it.
         moved: last-keyframe_T_this by odometry.
         interval: that was chosen at the last keyframe.
-        registration: what came of the match; None where there was none.
+        registration: the outcome of the match; None where there was none.
     """
     complexity, prediction = interval.complexity, interval.prediction
     sums: tuple[float, ...] = complexity.sums if complexity else ()
@@ -50,7 +50,7 @@ def decision_record(
 
 def factor_record(stamp_ns: int, edge: Edge, used: bool, note: str) -> FactorRecord:
     """A factor and what became of it; `note` says why it was refused, or what was odd."""
-    floor = 1e-9 * np.eye(3)  # a blind axis has no covariance to write down
+    floor = 1e-9 * np.eye(3)  # a direction without information has no covariance to write down
     covariance = np.linalg.inv(edge.information + floor)
     return FactorRecord(
         stamp_ns, edge.kind, edge.i, edge.j, edge.i_T_j.x(), edge.i_T_j.y(), edge.i_T_j.theta(),
@@ -59,14 +59,14 @@ def factor_record(stamp_ns: int, edge: Edge, used: bool, note: str) -> FactorRec
 
 
 def estimate_record(stamp_ns: int, graph: PoseGraph, k: int, lost: bool) -> PoseEstimate:
-    """Where the graph has keyframe `k` just now, and how well it knows."""
+    """Where the graph has keyframe `k` now, and its covariance."""
     x, y, theta = (float(v) for v in graph.poses[k])
     covariance = tuple(graph.marginal(k).ravel().tolist())
     return PoseEstimate(stamp_ns, x, y, theta, covariance, lost)
 
 
 class Records:
-    """What a pipeline has decided, used and found so far."""
+    """Decisions, factors and estimates so far."""
 
     def __init__(self) -> None:
         self.decisions: list[KeyframeDecision] = []
@@ -75,11 +75,19 @@ class Records:
         self.pruned_counts: Counter[str] = Counter()  # keyframes, and what was known of them
 
     def add_edge(self, stamp_ns: int, edge: Edge, used: bool, note: str) -> None:
-        """Keep a factor on record with what became of it."""
+        """Record a factor and whether it is used."""
         self.factors.append(factor_record(stamp_ns, edge, used, note))
 
+    def judge_loops(self, judged: Mapping[tuple[int, int], tuple[bool, str]]) -> None:
+        """Mark loop factors by the final optimisation: (used, why), by keyframes i and j."""
+        self.factors = [
+            replace(f, used=judged[f.i, f.j][0], note=judged[f.i, f.j][1])
+            if f.kind == "loop" and (f.i, f.j) in judged else f
+            for f in self.factors
+        ]  # fmt: skip
+
     def forget(self, keyframes: Sequence[Keyframe], index: Renumbered) -> None:
-        """Only counts are left of keyframes that leave the graph; the others get new indices."""
+        """Only counts are left of pruned keyframes; the others get new indices."""
         gone = {k.scan.stamp_ns for k in keyframes if not index.stays[k.index]}
         self.decisions = [
             replace(d, index=index(d.index)) for d in self.decisions if index.stays[d.index]

@@ -1,9 +1,26 @@
-"""Keyframe to keyframes: the odometry's word against the match's, neither believed blindly."""
+"""Registers a scan to the keyframes before it, and decides between odometry and scan match.
+
+The match starts where the odometry says.  If it agrees with the odometry, fits well, and no other
+start fits clearly better, both are used.  Otherwise every start of `OdometryEvidence.starts` gives
+a hypothesis, and after them a correlative search if all fit badly.  The hypothesis with the most
+inliers wins; a later one must beat an earlier one by `margin`.  Then this table decides:
+
+    | inliers of the best | odometry possible | agrees with it | match    | odometry |
+    |---------------------|-------------------|----------------|----------|----------|
+    | too few             | yes               | -              | refused  | used     |
+    | too few             | no                | -              | refused  | refused  |
+    | enough              | yes               | yes            | used     | used     |
+    | enough              | yes               | no             | used     | refused  |
+    | enough              | no                | -              | used     | refused  |
+
+"Possible" is within the robot's speed limits; "agrees" is a chi-square test of the difference.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from gtsam import Pose2
@@ -16,41 +33,65 @@ from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan
 
-# The lies that look true: motion of the wrong sign, motion where there is none, and none where
-# there is; each with a start that would be right.
-ALTERNATIVE_STARTS = ("mirrored translation", "zero motion", "previous velocity")
-ALTERNATIVE_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds the match
-GOES_ON_S = 4.0  # s for which a robot may have gone on as it did before; a stall takes seconds
-APART_M = 0.03  # m between the ends of two matches that are not the same
-
-DOUBT = 5.0  # factor on the sigmas of an odometry that does not look right
+# Faults that a match can confirm by mistake: motion of the wrong sign, motion where there is none,
+# and none where there is.  Each has a start that would be right.
+CHECKED_STARTS = ("mirrored translation", "zero motion", "previous velocity")
+LOOSE_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds a match
+LONGEST_STALL_S = 4.0  # s for which a robot may have gone on unseen; a wheel stall takes seconds
+DISTINCT_M = 0.03  # m between the ends of two matches that are different hypotheses
+DOUBT_INFLATION = 5.0  # factor on the sigmas of an odometry that does not look right
+JOINING_COVARIANCE = np.diag([0.05, 0.05, 0.03]) ** 2  # m, m, rad: holds a pose found by one match
+# The correlative search when all hypotheses fit badly: about the middle of the odometry's step.
+SEARCH = CorrelativeConfig()
+SEARCH_REFERENCES = 3  # last keyframes that it looks at
+SEARCH_REACH_M = 1.0  # half width, beyond half of the step: a faulty step is off by its length
+SEARCH_TURN_RAD = 0.8  # half width: more turn leaves little overlap at a view of 180 degrees
+SEARCH_SCORE = 0.4  # least mean likelihood of a result; a wrong place scores 0.2 to 0.3
 
 
 class RegistrationConfig(BaseModel):
-    """When a match of neighbouring keyframes is believed."""
+    """How a keyframe is registered to the ones before it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     references: int = Field(6, ge=1, description="keyframes matched against at once")
     good_pair_inlier_fraction: float = Field(
-        0.7, ge=0, le=1, description="share of beams that must fit for a match without doubts"
+        0.7, ge=0, le=1, description="share of paired beams that must fit for a match without doubt"
     )
     false_alarm: float = Field(
-        1e-4, gt=0, lt=1, description="how often honest odometry may be called a liar"
+        1e-4, gt=0, lt=1, description="probability of refusing an odometry step without fault"
     )
-    search: CorrelativeConfig = CorrelativeConfig()
-    search_reach: float = Field(1.0, gt=0, description="m, half width of the search when in doubt")
-    search_turn: float = Field(0.8, gt=0, description="rad, likewise")
-    search_score: float = Field(0.4, ge=0, le=1, description="least mean likelihood of such a find")
     margin: float = Field(
-        1.05, ge=1, description="by how much another start must explain the scan better"
+        1.05, ge=1, description="factor in inliers by which another hypothesis must be better"
     )
     good_inlier_fraction: float = Field(
-        0.45, ge=0, le=1, description="share of beams paired and explained, below which to search"
+        0.45, ge=0, le=1, description="share of all beams that fit, below which a search is made"
     )
     min_inlier_fraction: float = Field(
-        0.25, ge=0, le=1, description="share of beams paired and explained, below which all is lost"
+        0.25, ge=0, le=1, description="share of all beams that fit, below which a match is refused"
     )
+
+
+class Hypothesis(NamedTuple):
+    """A match and the start that led to it."""
+
+    start: str
+    result: MatchResult
+
+    @property
+    def inlier_fraction(self) -> float:
+        """Share of all beams that fit; 0 if the match did not converge."""
+        return self.result.inlier_fraction if self.result.converged else 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdometryEvidence:
+    """What the odometry says about the step to the new scan; poses are last_T_new."""
+
+    prior: Prior  # the step and its covariance
+    starts: Sequence[tuple[str, Pose2]]  # where else a match may start, by name
+    possible: bool  # within the robot's speed limits
+    continues: bool  # in the direction of the last step
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -71,72 +112,54 @@ class Registration:
 def disagreement(result: MatchResult, prior: Prior) -> float:
     """Squared Mahalanobis distance between match and prior, 3 degrees of freedom if both are right.
 
-    The match's own information is used, so an axis it cannot see cannot disagree.
+    The match's own information is used, so a direction that it does not see cannot disagree.
     """
     error = Pose2.Logmap(prior.target_T_source.between(result.target_T_source))
-    # (C_prior + C_match)^-1 = P - P (P + I)^-1 P, which needs no inverse of a blind match.
+    # (C_prior + C_match)^-1 = P - P (P + I)^-1 P, which needs no inverse of a singular I.
     known = np.linalg.inv(prior.covariance)
     weight = known - known @ np.linalg.solve(known + result.information, known)
     return float(error @ weight @ error)
 
 
 def register(
-    references: Sequence[Reference],
-    source: PreparedScan,
-    prior: Prior,
-    alternatives: Sequence[tuple[str, Pose2]],
-    plausible: bool,
-    goes_on: bool,
-    config: RegistrationConfig,
-    matcher: MatchConfig,
-) -> Registration:
-    """Match a keyframe against the ones before it, from several starts if the first disappoints.
+    references: Sequence[Reference], scan: PreparedScan, odometry: OdometryEvidence,
+    config: RegistrationConfig, matcher: MatchConfig,
+) -> Registration:  # fmt: skip
+    """Register a scan and decide what to trust, by the table above.
 
     Args:
         references: earlier keyframes, in the frame of the last one.
-        source: the new scan.
-        prior: the odometry's step from the last keyframe.
-        alternatives: other starting points by name, tried when odometry looks wrong.
-        plausible: whether the odometry's step is one that the robot can make.
-        goes_on: whether it leads the way that the robot went before.
+        scan: the new one.
+        odometry: the step from the last keyframe, and other starts.
         config: thresholds.
-        matcher: of the scan matcher.
+        matcher: settings of the scan matcher.
     """
     limit = chi_square_limit(config.false_alarm, 3)
-    first = match(references, source, prior.target_T_source, matcher, prior)
-    agreed = first.converged and disagreement(first, prior) < limit
-    good = (
-        first.pair_inlier_fraction >= config.good_pair_inlier_fraction
-        and first.inlier_fraction >= config.good_inlier_fraction
-    )
-    if plausible and agreed and good:
-        if not _beaten_by_alternative(
-            first, references, source, alternatives, goes_on, config, matcher
-        ):
+    prior = odometry.prior
+    first = match(references, scan, prior.target_T_source, matcher, prior)
+    agrees = first.converged and disagreement(first, prior) < limit
+    if odometry.possible and agrees and _fits_well(first, config):
+        if not _other_start_fits_better(first, references, scan, odometry, config, matcher):
             return Registration(first, True, True, "")
-    best, start = first, "odometry"
-    for name, guess in [("odometry", prior.target_T_source), *alternatives]:
-        other = _match_last(references, source, guess, matcher, config)
-        if _inlier_fraction(other) > config.margin * _inlier_fraction(best):
-            best, start = other, name
-    if _inlier_fraction(best) < config.good_inlier_fraction:
-        for guess in _searched(references, source, prior, config):
-            other = _match_last(references, source, guess, matcher, config)
-            if _inlier_fraction(other) > config.margin * _inlier_fraction(best):
-                best, start = other, "a search"
-    if _inlier_fraction(best) < config.min_inlier_fraction:
-        note = f"match refused: {best.reason or 'too few beams pair_inlier_fraction'}"
-        return Registration(best, plausible, False, note)
-    # An axis that the scans do not see must not keep the place of whatever start was the best.
-    odometry_faulty = Prior(prior.target_T_source, prior.covariance * DOUBT**2)
-    held = match(references, source, best.target_T_source, matcher, odometry_faulty)
-    if held.inlier_fraction * config.margin >= best.inlier_fraction:
-        best = held
-    distance = disagreement(best, prior)
-    if plausible and distance < limit:
-        return Registration(best, True, True, "")
-    cause = f"chi-square {distance:.0f}" if plausible else "faster than the robot can move"
-    return Registration(best, False, True, f"odometry refused: {cause}; matched from {start}")
+    best = Hypothesis("odometry", first)
+    for other in _hypotheses(references, scan, odometry, config, matcher):
+        if other.inlier_fraction > config.margin * best.inlier_fraction:
+            best = other
+    if best.inlier_fraction < config.good_inlier_fraction:
+        for guess in _searched(references, scan, prior):
+            other = Hypothesis("a search", _match_last(references, scan, guess, matcher, config))
+            if other.inlier_fraction > config.margin * best.inlier_fraction:
+                best = other
+    if best.inlier_fraction < config.min_inlier_fraction:
+        reason = best.result.reason or "too few beams fit"
+        return Registration(best.result, odometry.possible, False, f"match refused: {reason}")
+    result = _held(best.result, references, scan, prior, config, matcher)
+    distance = disagreement(result, prior)
+    if odometry.possible and distance < limit:
+        return Registration(result, True, True, "")
+    cause = f"chi-square {distance:.0f}" if odometry.possible else "faster than the robot can move"
+    note = f"odometry refused: {cause}; matched from {best.start}"
+    return Registration(result, False, True, note)
 
 
 def starts_in_doubt(
@@ -154,90 +177,115 @@ def starts_in_doubt(
     ]
     if last_step is not None:
         step, duration = last_step
-        share = min(seconds, GOES_ON_S) / max(duration, 1e-3)
+        share = min(seconds, LONGEST_STALL_S) / max(duration, 1e-3)
         starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
     return starts
 
 
-def _beaten_by_alternative(
-    first: MatchResult, references: Sequence[Reference], source: PreparedScan,
-    alternatives: Sequence[tuple[str, Pose2]], goes_on: bool, config: RegistrationConfig,
-    matcher: MatchConfig,
-) -> bool:  # fmt: skip
-    """Whether another start explains the scan clearly better, though odometry and match agree.
+def _fits_well(result: MatchResult, config: RegistrationConfig) -> bool:
+    return (
+        result.pair_inlier_fraction >= config.good_pair_inlier_fraction
+        and result.inlier_fraction >= config.good_inlier_fraction
+    )
 
-    A corridor looks alike a step further on: a match that starts where lying odometry says can
-    settle there and confirm it.  Most rivals end where the first match did, or fit worse, against
-    the last keyframe alone: only the others are worth the time of all references.
+
+def _other_start_fits_better(
+    first: MatchResult, references: Sequence[Reference], scan: PreparedScan,
+    odometry: OdometryEvidence, config: RegistrationConfig, matcher: MatchConfig,
+) -> bool:  # fmt: skip
+    """Whether another start fits the scan clearly better, though odometry and match agree.
+
+    A corridor looks alike a step further on: a match that starts where faulty odometry says can
+    converge there and confirm it.  Most other starts end where the first match did, or fit worse,
+    against the last keyframe alone: only the rest are worth the time of all references.
     """
 
-    def found(guess: Pose2, among: Sequence[Reference]) -> MatchResult:
-        return match(among, source, guess, matcher, Prior(guess, ALTERNATIVE_COVARIANCE))
+    def found(guess: Pose2, among: Sequence[Reference]) -> Hypothesis:
+        return Hypothesis("", match(among, scan, guess, matcher, Prior(guess, LOOSE_COVARIANCE)))
 
     last = references[-1:]
-    alone = _inlier_fraction(found(first.target_T_source, last))
-    for name, guess in alternatives:
-        if name not in ALTERNATIVE_STARTS:
+    alone = found(first.target_T_source, last).inlier_fraction
+    for name, guess in odometry.starts:
+        if name not in CHECKED_STARTS:
             continue
         other = found(guess, last)
-        step = first.target_T_source.between(other.target_T_source)
-        if np.hypot(step.x(), step.y()) < APART_M or _inlier_fraction(other) < alone:
+        step = first.target_T_source.between(other.result.target_T_source)
+        if np.hypot(step.x(), step.y()) < DISTINCT_M or other.inlier_fraction < alone:
             continue
-        unseen = _unseen(references, source, first.target_T_source) if goes_on else 0.0
-        if _inlier_fraction(found(guess, references)) > config.margin * (
-            first.inlier_fraction + unseen
-        ):
+        unseen = 0.0
+        if odometry.continues:
+            unseen = _unseen_share(references, scan, first.target_T_source)
+        needed = config.margin * (first.inlier_fraction + unseen)
+        if found(guess, references).inlier_fraction > needed:
             return True
     return False
 
 
-def _unseen(references: Sequence[Reference], source: PreparedScan, pose: Pose2) -> float:
-    """Share of the scan's beams that end where no reference has looked, at target_T_source.
+def _unseen_share(references: Sequence[Reference], scan: PreparedScan, last_T_scan: Pose2) -> float:
+    """Share of the scan's beams that end where no reference has looked.
 
     A robot that backs away sees walls that were behind it: that none of the scans before knows
     them does not speak against the motion.
     """
-    points = source.points[np.isfinite(source.points).all(axis=1)]
+    points = scan.points[np.isfinite(scan.points).all(axis=1)]
     unseen = np.ones(len(points), dtype=bool)
     for reference in references:
         first, step, x, y = reference.scan.geometry[:4]
-        here = reference.target_T_scan.between(pose).transformFrom(points.T).T - (x, y)
+        here = reference.target_T_scan.between(last_T_scan).transformFrom(points.T).T - (x, y)
         turn = np.mod(np.arctan2(here[:, 1], here[:, 0]) - first, 2.0 * np.pi)
         unseen &= turn > step * (len(reference.scan.points) - 1)
     return float(np.mean(unseen)) if len(points) else 0.0
 
 
-def _inlier_fraction(result: MatchResult) -> float:
-    return result.inlier_fraction if result.converged else 0.0
+def _hypotheses(
+    references: Sequence[Reference], scan: PreparedScan, odometry: OdometryEvidence,
+    config: RegistrationConfig, matcher: MatchConfig,
+) -> Iterator[Hypothesis]:  # fmt: skip
+    """Matches without a prior, from the odometry and from every other start."""
+    for name, guess in [("odometry", odometry.prior.target_T_source), *odometry.starts]:
+        yield Hypothesis(name, _match_last(references, scan, guess, matcher, config))
 
 
 def _match_last(
-    references: Sequence[Reference], source: PreparedScan, guess: Pose2, matcher: MatchConfig,
+    references: Sequence[Reference], scan: PreparedScan, guess: Pose2, matcher: MatchConfig,
     config: RegistrationConfig,
 ) -> MatchResult:  # fmt: skip
     """Match without a prior, first against the last keyframe alone.
 
     Older keyframes may stand wrong with respect to it; they join in if they agree.
     """
-    alone = match(references[-1:], source, guess, matcher)
+    alone = match(references[-1:], scan, guess, matcher)
     if not alone.converged or len(references) == 1:
         return alone
-    seed = Prior(alone.target_T_source, np.diag([0.05, 0.05, 0.03]) ** 2)
-    joint = match(references, source, alone.target_T_source, matcher, seed)
-    good = joint.converged and joint.pair_inlier_fraction >= config.good_pair_inlier_fraction
-    return joint if good and joint.inlier_fraction >= alone.inlier_fraction else alone
+    seed = Prior(alone.target_T_source, JOINING_COVARIANCE)
+    joint = match(references, scan, alone.target_T_source, matcher, seed)
+    fits = joint.converged and joint.pair_inlier_fraction >= config.good_pair_inlier_fraction
+    return joint if fits and joint.inlier_fraction >= alone.inlier_fraction else alone
 
 
-def _searched(
-    references: Sequence[Reference], source: PreparedScan, prior: Prior, config: RegistrationConfig
-) -> list[Pose2]:
+def _searched(references: Sequence[Reference], scan: PreparedScan, prior: Prior) -> list[Pose2]:
     """Where a correlative search about the last keyframe and the odometry's step finds the scan."""
-    field = target_field([(r.target_T_scan, r.scan) for r in references[-3:]], config.search)
-    cloud = submap_points([(Pose2(), source)])
-    near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.search.max_range
-    points = thin(cloud[near], config.search.resolution, config.search.max_points)
+    last = references[-SEARCH_REFERENCES:]
+    field = target_field([(r.target_T_scan, r.scan) for r in last], SEARCH)
+    cloud = submap_points([(Pose2(), scan)])
+    near = np.hypot(cloud[:, 0], cloud[:, 1]) < SEARCH.max_range
+    points = thin(cloud[near], SEARCH.resolution, SEARCH.max_points)
     moved = prior.target_T_source
-    reach = config.search_reach + 0.5 * float(np.hypot(moved.x(), moved.y()))
+    reach = SEARCH_REACH_M + 0.5 * float(np.hypot(moved.x(), moved.y()))
     halfway = Pose2(0.5 * moved.x(), 0.5 * moved.y(), moved.theta())
-    found = search(field, points, Window(halfway, reach, config.search_turn), config.search_score)
+    found = search(field, points, Window(halfway, reach, SEARCH_TURN_RAD), SEARCH_SCORE)
     return [] if found is None else [found.target_T_query]
+
+
+def _held(
+    best: MatchResult, references: Sequence[Reference], scan: PreparedScan, prior: Prior,
+    config: RegistrationConfig, matcher: MatchConfig,
+) -> MatchResult:  # fmt: skip
+    """The best match again, with the odometry as a wide prior, if it fits about as well.
+
+    A direction that the scans do not see must not keep the place where the best start happened to
+    be.
+    """
+    doubted = Prior(prior.target_T_source, prior.covariance * DOUBT_INFLATION**2)
+    held = match(references, scan, best.target_T_source, matcher, doubted)
+    return held if held.inlier_fraction * config.margin >= best.inlier_fraction else best

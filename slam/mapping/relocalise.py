@@ -39,7 +39,7 @@ class PriorMap:
     start: Pose2 | None  # map_T_base where the robot goes on; None if it is to be found
 
 
-def locate(
+def relocalise(
     scan: PreparedScan, keyframes: Sequence[Keyframe], graph: PoseGraph, start: Pose2 | None,
     config: SlamConfig,
 ) -> Edge | None:  # fmt: skip

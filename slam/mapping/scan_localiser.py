@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.backend.pose_graph import Edge, PoseGraph
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan
@@ -31,9 +30,6 @@ class LocaliseConfig(BaseModel):
     neighbours: int = Field(
         4, ge=1, description="keyframes with the most similar view that a scan is matched against"
     )
-    refine_passes: int = Field(0, ge=0, description="global passes that re-match neighbours")
-    refine_neighbours: int = Field(6, ge=2, description="keyframes in each such match")
-    radius_m: float = Field(3.0, gt=0, description="m within which keyframes are neighbours")
     sigma_trans: float = Field(0.10, gt=0, description="m, how far a guess may be off")
     sigma_rot: float = Field(0.05, gt=0, description="rad, how far a guess may be off")
     min_pair_inlier_fraction: float = Field(
@@ -65,40 +61,6 @@ def _kd_tree(points: Matrix) -> Any:
     from scipy.spatial import cKDTree
 
     return cKDTree(points)
-
-
-def refine_edges(
-    keyframes: Sequence[Keyframe], graph: PoseGraph, config: LocaliseConfig, matcher: MatchConfig
-) -> list[Edge]:
-    """One more match of each keyframe against its neighbours in space, whatever their age.
-
-    Each match is joint, against the keyframes that look at the nearest, held where the graph has
-    them, and gives one edge to the nearest of those.
-    """
-    poses = graph.poses
-    centres = view_centres(keyframes, poses)
-    tree = _kd_tree(centres)
-    edges = []
-    for keyframe in keyframes:
-        k = keyframe.index
-        near = tree.query(
-            centres[k],
-            k=min(config.refine_neighbours + 1, len(poses)),  # and itself
-            distance_upper_bound=config.radius_m,
-        )[1]
-        chosen = [int(n) for n in np.atleast_1d(near) if n < len(poses) and n != k]
-        if not chosen:
-            continue
-        anchor = chosen[0]
-        base = graph.pose(anchor)
-        references = [Reference(base.between(graph.pose(n)), keyframes[n].prepared) for n in chosen]
-        guess = base.between(graph.pose(k))
-        result = match(references, keyframe.prepared, guess, matcher, prior_of(guess, config))
-        if not result.converged or result.pair_inlier_fraction < config.min_pair_inlier_fraction:
-            continue
-        kind: Literal["icp", "loop"] = "icp" if abs(anchor - k) == 1 else "loop"
-        edges.append(Edge(kind, anchor, k, result.target_T_source, result.information))
-    return edges
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from slam.mapping.config import SlamConfig
 from slam.runs.errors import ConfigError
+from slam.runs.renamed_settings import use_new_names
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -35,9 +36,12 @@ def load_model(kind: type[Model], path: Path | None, overrides: Sequence[str] = 
             raise ConfigError(f"{path}: cannot read the configuration: {error.strerror}") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from error
+        data = use_new_names(kind, data, str(path))
         _validated(kind, data, str(path))  # so that a mistake in the file is not blamed on --set
     for override in overrides:
-        _apply(data, override)
+        one: dict[str, Any] = {}
+        _apply(one, override)
+        _merge(data, use_new_names(kind, one, "--set"), override)
     return _validated(kind, data, "--set")
 
 
@@ -64,6 +68,17 @@ def _apply(data: dict[str, Any], override: str) -> None:
         if not isinstance(table, dict):
             raise ConfigError(f"--set {override!r}: {section} is not a section")
     table[name] = value
+
+
+def _merge(data: dict[str, Any], one: Mapping[str, Any], override: str) -> None:
+    for name, value in one.items():
+        known = data.get(name)
+        if isinstance(value, dict):
+            if known is not None and not isinstance(known, dict):
+                raise ConfigError(f"--set {override!r}: {name} is not a section")
+            _merge(data.setdefault(name, {}), value, override)
+        else:
+            data[name] = value
 
 
 def _section_note(kind: type[BaseModel], location: str) -> str:
@@ -96,6 +111,8 @@ def known_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     """Dotted names of every setting below a model."""
     keys = []
     for name, field in model.model_fields.items():
+        if field.exclude:  # filled in from another setting
+            continue
         keys.append(prefix + name)
         kind = field.annotation
         if isinstance(kind, type) and issubclass(kind, BaseModel):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,9 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from slam.backend.batch import OUTLIER, BatchResult, FactorMaker, optimise
+from slam.backend.batch import FactorMaker
 from slam.backend.edges import Edge, capped
+from slam.backend.final import FinalGraph, finalise
 from slam.backend.g2o import read_g2o, write_g2o
 from slam.logs.mcap_log import LogWriter, open_log
 from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan, Message, TruePose
@@ -66,14 +67,14 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     edges = [capped(edge) for edge in graph.edges]
     tamed = sum(a is not b for a, b in zip(edges, graph.edges, strict=True))
     maker = FactorMaker(config)
-    result = optimise(graph.poses, edges, maker)
+    final = finalise(graph.poses, edges, maker)
     with new_run(out) as partial:
         # A g2o file has no times: a second a vertex.  Ids may be too large to count seconds.
         stamps = np.arange(len(graph.ids)) * 1_000_000_000
-        write_tum(partial / "keyframes.tum", Trajectory(stamps, result.poses))
-        write_tum(partial / "trajectory.tum", Trajectory(stamps, result.poses))
-        _write_graph(partial, edges, result, maker)
-        summary = _summary(source.name, edges, result, settings)
+        write_tum(partial / "keyframes.tum", Trajectory(stamps, final.poses))
+        write_tum(partial / "trajectory.tum", Trajectory(stamps, final.poses))
+        write_g2o(partial / "graph.g2o", final.poses, final.edges, final.informations)
+        summary = _summary(source.name, final, settings)
         summary |= {"edges_tamed": tamed, "lines_skipped": graph.skipped}
         write_summary(partial, summary)
     return summary
@@ -83,22 +84,22 @@ def _reoptimise_run(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     run = read_stored(source)
     poses = run.keyframes.poses
     maker = FactorMaker(settings.graph)
-    result = optimise(poses, run.edges, maker)
+    final = finalise(poses, run.edges, maker)
     rows = np.searchsorted(run.trajectory.stamps_ns, run.keyframes.stamps_ns)
     before = np.searchsorted(rows, np.arange(len(run.trajectory.stamps_ns)), side="right") - 1
     owner = np.maximum(before, 0)
     # Each scan keeps its place with respect to the keyframe before it.
-    moved = compose(result.poses[owner], between(poses[owner], run.trajectory.poses))
+    moved = compose(final.poses[owner], between(poses[owner], run.trajectory.poses))
     trajectory = Trajectory(run.trajectory.stamps_ns, moved)
     with new_run(out) as partial:
         write_tum(partial / "trajectory.tum", trajectory)
-        write_tum(partial / "keyframes.tum", Trajectory(run.keyframes.stamps_ns, result.poses))
+        write_tum(partial / "keyframes.tum", Trajectory(run.keyframes.stamps_ns, final.poses))
         write_tum(partial / "odometry.tum", run.odometry)
-        _write_graph(partial, run.edges, result, maker)
+        write_g2o(partial / "graph.g2o", final.poses, final.edges, final.informations)
         _write_map(partial, run, trajectory, settings)
-        _write_log(partial / "run.mcap", run, result, source.name, settings)
-        write_summary(partial, _summary(source.name, run.edges, result, settings))
-    return _summary(source.name, run.edges, result, settings)
+        _write_log(partial / "run.mcap", run, final, source.name, settings)
+        write_summary(partial, _summary(source.name, final, settings))
+    return _summary(source.name, final, settings)
 
 
 def read_stored(directory: Path) -> StoredRun:
@@ -144,18 +145,6 @@ def _edge(record: FactorRecord) -> Edge:
     )
 
 
-def _write_graph(
-    directory: Path, edges: list[Edge], result: BatchResult, maker: FactorMaker
-) -> None:
-    accepted_edges = [e for k, e in enumerate(edges) if result.loop_weights.get(k, 1.0) >= OUTLIER]
-    write_g2o(
-        directory / "graph.g2o",
-        result.poses,
-        accepted_edges,
-        [maker.weight(e) for e in accepted_edges],
-    )
-
-
 def _write_map(
     directory: Path, run: StoredRun, trajectory: Trajectory, settings: SlamConfig
 ) -> None:
@@ -178,7 +167,7 @@ def _write_map(
 
 
 def _write_log(
-    path: Path, run: StoredRun, result: BatchResult, source: str, settings: SlamConfig
+    path: Path, run: StoredRun, final: FinalGraph, source: str, settings: SlamConfig
 ) -> None:
     identity = {
         "source": source, "version": version(), "config_sha256": settings.sha256(),
@@ -192,30 +181,21 @@ def _write_log(
             if isinstance(message, (LaserScan, LaserExtrinsics, TruePose)):
                 log.write(message)
         for k, record in enumerate(run.records):
-            used = result.loop_weights.get(k, 1.0) >= OUTLIER
-            note = record.note if used else "withdrawn: contradicts the whole graph"
-            log.write(_judged(record, used, note))
+            note = final.removed.get(k, record.note)
+            log.write(replace(record, used=k not in final.removed, note=note))
 
 
-def _judged(record: FactorRecord, used: bool, note: str) -> FactorRecord:
-    return FactorRecord(
-        record.stamp_ns, record.kind, record.i, record.j, record.x, record.y, record.theta,
-        record.covariance, used, note,
-    )  # fmt: skip
-
-
-def _summary(
-    source: str, edges: list[Edge], result: BatchResult, settings: SlamConfig
-) -> dict[str, Any]:
-    loops = len(result.loop_weights)
-    kept = sum(weight >= OUTLIER for weight in result.loop_weights.values())
+def _summary(source: str, final: FinalGraph, settings: SlamConfig) -> dict[str, Any]:
+    rejected = len(final.removed)
     return {
         "log": source,
-        "keyframes": len(result.poses),
-        "edges": len(edges),
-        "loops": {"candidates": loops, "accepted": kept, "rejected": loops - kept},
-        "error_before": result.error_before,
-        "error_after": result.error_after,
+        "keyframes": len(final.poses),
+        "edges": len(final.edges) + rejected,
+        "loops": {
+            "candidates": final.loops, "accepted": final.loops - rejected, "rejected": rejected,
+        },
+        "error_before": final.error_before,
+        "error_after": final.error_after,
         "version": version(),
         "config_sha256": settings.sha256(),
-    }
+    }  # fmt: skip

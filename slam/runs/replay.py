@@ -197,7 +197,9 @@ def summarise(
             "accepted": accepted,
             "rejected": candidates - accepted,
         },
-        "distance_m": round(float(path_length(slam.places(result.keyframes.poses)[1])[-1]), 3),
+        "distance_m": round(
+            float(path_length(slam.place_history(result.keyframes.poses)[1])[-1]), 3
+        ),
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
         "peak_rss_mb": round(peak_kb / 1024, 1),

@@ -144,7 +144,7 @@ def test_the_rest_stays_where_it_was_and_claims_no_more(laps):
     were = np.linalg.det(marginals[stays][1:]) ** (1 / 6)
     assert (sigmas > 0.999 * were).all()
     assert (sigmas < 1.3 * were).all()
-    smaller.optimise()
+    smaller.finalise()
     kept = [truth[k] for k in np.flatnonzero(stays)]
     away = [Pose2(*pose).between(true) for pose, true in zip(smaller.poses, kept, strict=True)]
     assert max(np.hypot(p.x(), p.y()) for p in away) < 0.03

@@ -43,7 +43,7 @@ def test_closures_are_judged_by_the_truth(square):
         closure(2, 42, 0.02, 0.0, 0.01),
         closure(4, 44, 0.4, 0.0, 0.0),
         closure(5, 45, 0.0, 0.0, 0.2),
-        closure(9, 49, 9.0, 0.0, 0.0, used=False, note="withdrawn: it lied"),
+        closure(9, 49, 9.0, 0.0, 0.0, used=False, note="removed: it lied"),
         FactorRecord(0, "icp", 1, 2, 9.0, 0.0, 0.0, tuple(np.eye(3).ravel())),
     ]
     keyframes = [SimpleNamespace(travelled_m=float(p)) for p in path]

@@ -183,7 +183,7 @@ def test_results_are_known_by_contents_not_by_places(logs, tmp_path):
     truth.write_text("0 0 0 0 0 0 0 1\n")
     others = [
         task_of(logs / "drive1.mcap", tmp_path),
-        task_of(logs / "drive0.mcap", tmp_path, SlamConfig(lost_inflation=2.0)),
+        task_of(logs / "drive0.mcap", tmp_path, SlamConfig(odometry={"lost_inflation": 2.0})),
         make_task(str(copy), file_sha256(copy), SlamConfig(), tmp_path, tmp_path),
         replace(task, version="0.0.0"),
     ]

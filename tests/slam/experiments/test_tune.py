@@ -29,7 +29,10 @@ PARAMETERS = (
         ("keyframes.t_high=0.5:6", Parameter("keyframes.t_high", 0.5, 6.0, False)),
         ("keyframes.weights.3=0.01:10:log", Parameter("keyframes.weights.3", 0.01, 10.0, True)),
         ("loops.places=2:8", Parameter("loops.places", 2, 8, False)),
-        ("lost_inflation=1:100:log", Parameter("lost_inflation", 1.0, 100.0, True)),
+        (
+            "odometry.lost_inflation=1:100:log",
+            Parameter("odometry.lost_inflation", 1.0, 100.0, True),
+        ),
     ],
 )
 def test_a_parameter_is_a_setting_with_bounds(text, wanted):

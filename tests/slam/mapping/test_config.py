@@ -78,7 +78,7 @@ def test_a_file_and_overrides_on_top_of_it(tmp_path):
         ("[keyframes]\nweights = [1, 2]\n", r"keyframes\.weights"),
         ("keyframes = 3\n", r"keyframes is a section: set keyframes\.NAME"),
         ("[keyframes]\nmin_interval = 9\n", "min_interval must not exceed max_interval$"),
-        ("[scan]\nrange_noise = nan\n", r"scan\.range_noise: .*nan"),
+        ("[laser]\nrange_noise = nan\n", r"laser\.range_noise: .*nan"),
         ("[keyframes\n", "not valid TOML"),
     ],
 )
@@ -109,8 +109,8 @@ def test_an_override_needs_a_name_and_a_value(override):
 
 
 def test_an_override_below_a_value_is_refused():
-    with pytest.raises(ConfigError, match="lost_inflation is not a section"):
-        load_config(None, ["lost_inflation=2", "lost_inflation.x=1"])
+    with pytest.raises(ConfigError, match="interval is not a section"):
+        load_config(None, ["keyframes.interval=2", "keyframes.interval.x=1"])
 
 
 def test_a_configuration_cannot_be_changed():

@@ -10,7 +10,7 @@ from gtsam import Pose2
 from slam.logs.messages import LaserScan
 
 from slam.mapping.config import SlamConfig
-from slam.mapping.keyframe_edges import SURE, KeyframeEdgeBuilder
+from slam.mapping.keyframe_edges import SURE_INLIER_FRACTION, KeyframeEdgeBuilder
 from slam.mapping.registration import Registration, starts_in_doubt
 from slam.mapping.scan_sync import ZERO_BIAS, OdometryIncrement, next_stamped_scan
 
@@ -39,12 +39,12 @@ def registration(
 
 
 def test_a_refuted_stretch_makes_its_parts_suspect_by_the_size_of_the_lie():
-    linker = KeyframeEdgeBuilder(SlamConfig())
-    way, turn = linker.suspected_bias(
+    builder = KeyframeEdgeBuilder(SlamConfig())
+    way, turn = builder.suspected_bias(
         increment(Pose2(0.2, 0, 0), 2.0), registration(Pose2(1.4, 0, 0.1))
     )
     assert (way, turn) == (pytest.approx(0.6), pytest.approx(0.05))
-    later = linker.suspected_bias(
+    later = builder.suspected_bias(
         increment(Pose2(0.1, 0, 0), 1.0, (0.9, 0.0)), registration(Pose2(0.7, 0, 0))
     )
     assert later == (0.9, 0.0)  # what is known of the whole stays known of its parts
@@ -53,7 +53,7 @@ def test_a_refuted_stretch_makes_its_parts_suspect_by_the_size_of_the_lie():
 @pytest.mark.parametrize(
     "seen",
     [
-        registration(Pose2(1.4, 0, 0), inlier_fraction=SURE - 0.01),
+        registration(Pose2(1.4, 0, 0), inlier_fraction=SURE_INLIER_FRACTION - 0.01),
         registration(Pose2(1.4, 0, 0), match_trusted=False),
         registration(Pose2(1.4, 0, 0), odometry_trusted=True),
     ],
@@ -66,7 +66,7 @@ def test_only_a_sure_match_that_refutes_the_wheels_makes_them_suspect(seen):
 
 
 @pytest.mark.parametrize(
-    ("match_trusted", "weak_axis", "used"),
+    ("match_trusted", "degenerate_direction", "used"),
     [(True, None, [False, True]), (True, 0.0, [True, True]), (False, None, [True, False])],
 )
 def test_a_part_of_a_refuted_stretch_keeps_its_odometry_if_nothing_else_holds_it(
@@ -81,9 +81,9 @@ def test_a_part_of_a_refuted_stretch_keeps_its_odometry_if_nothing_else_holds_it
         match_trusted=match_trusted,
         degenerate_direction=degenerate_direction,
     )
-    link = KeyframeEdgeBuilder(SlamConfig()).link(here, seen, 1)
-    assert [is_used for _, is_used in link.edges] == used
-    assert ("odometry refused" in link.note) == (not used[0])
+    found = KeyframeEdgeBuilder(SlamConfig()).edges(here, seen, 1)
+    assert [is_used for _, is_used in found.edges] == used
+    assert ("odometry refused" in found.note) == (not used[0])
 
 
 def test_wheels_that_stood_still_for_seconds_may_have_hidden_the_whole_way():

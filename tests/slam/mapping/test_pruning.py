@@ -28,10 +28,16 @@ from slam.viewer.frames import Feed
 from slam.viewer.snapshot import View, take
 
 # So that a short drive shows what an hour does.
-SOON = tuple(
-    f"pruning.{s}" for s in ("min_redundancy=2", "at_once=12", "share=0.0", "within_m=0.8")
-)
+SOON = ("pruning.min_redundancy=2", "pruning.within_m=0.8")
 THIN, WHOLE = load_config(None, SOON), load_config(None, ["pruning.min_redundancy=0"])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_are_enough():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.mapping.pruning.PRUNED_AT_ONCE", 12)
+        patch.setattr("slam.mapping.pruning.PRUNED_SHARE", 0.0)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -186,13 +192,11 @@ def test_without_former_places_the_keyframes_are_all_there_is():
 
 
 def redundant(slam, odometry_faulty=(), closures=None):
-    """Whether the thinner finds enough dispensable keyframes in a graph that has all."""
-    thinner = Pruner(
-        PruningConfig(min_redundancy=2, within_m=0.8, at_once=12, share=0.0), 8.0, run_inline
-    )
+    """Whether the pruner finds enough redundant keyframes in a graph that has all."""
+    pruner = Pruner(PruningConfig(min_redundancy=2, within_m=0.8), 8.0, run_inline)
     loops = [edge for edge in slam.graph.edges if edge.kind == "loop"]
-    thinner.add_closures(loops if closures is None else closures(loops))
-    return thinner.due(slam.keyframes, slam.graph, set(odometry_faulty))
+    pruner.add_closures(loops if closures is None else closures(loops))
+    return pruner.due(slam.keyframes, slam.graph, set(odometry_faulty))
 
 
 def test_a_keyframe_to_which_the_odometry_did_not_lead_is_kept(whole):

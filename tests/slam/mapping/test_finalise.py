@@ -8,9 +8,8 @@ from slam.frontend.loop_search import Closure
 from slam.logs.messages import LoopResult
 
 from slam.mapping.loop_closing import LoopCandidate
-from slam.mapping.slam import Slam
+from slam.mapping.slam import READMITTED, Slam
 from slam.runs.config_file import load_config
-from slam.runs.offline import READMITTED, settle
 
 SIGMA = np.array([0.01, 0.01, 0.003])
 SURE = np.diag(SIGMA**-2)
@@ -52,7 +51,7 @@ def bent():
         slam.loops.rejected.append(true)
     false = candidate(slam, 3, 30, measured(3, 30, 2.0), "chi-square 40.0 against ...")
     slam.loops.rejected.append(false)
-    settle(slam)
+    slam.finalise()
     return slam
 
 
@@ -68,7 +67,7 @@ def test_closures_that_the_rest_sides_with_are_admitted_in_the_end(bent):
 def test_what_nothing_sides_with_stays_refused_and_says_why(bent):
     refused = {(v.i, v.j): v.reason for v in bent.loops.closure_results if not v.accepted}
     assert set(refused) == {(0, 2 * OUT), (3, 30)}
-    assert refused[0, 2 * OUT].startswith("withdrawn: chi-square")
+    assert refused[0, 2 * OUT].startswith("removed: chi-square")
     assert refused[3, 30].startswith("chi-square 40.0 against the graph")
     kept = {(e.i, e.j) for e in bent.graph.edges if e.kind == "loop"}
     assert kept.isdisjoint(refused)
