@@ -176,7 +176,7 @@ def drive_once(
             feed(again, message)
         again.finish_input()
         wrong = differences(slam, again)
-        live = finish(slam, source, [], NullTimer(), lambda stage, done: None)
+        live = finish(slam, source)
         wrong += wrong_counts(drive, intake, log)
     wrong += wrong_scans(drive) + wrong_odometry(drive)
     if hang_s(drive) > HANG_S:

@@ -170,11 +170,15 @@ class Slam:
         """Where keyframes are and pruned ones were, as `FormerPlaces.joined` gives it."""
         return self._pruner.places.joined(self.keyframes, poses)
 
+    def predicted_scans(self, poses: NDArray[np.float64]) -> PredictedPoses:
+        """Where all scans are, with the keyframes at `poses` (n, 3)."""
+        scans, places, _ = self.place_history(poses)
+        return predict_poses(self.scans.odom_poses, scans, places, self.faulty_scans)
+
     def _final_map(self, edges: list[Edge], informations: list[NDArray[np.float64]]) -> FinalMap:
         assert self.graph is not None
         marginals, poses = self.graph.marginals(), self.graph.poses.copy()
-        scans, places, owners = self.place_history(poses)
-        predicted = predict_poses(self.scans.odom_poses, scans, places, self.faulty_scans)
+        predicted, owners = self.predicted_scans(poses), self.place_history(poses)[2]
         return FinalMap(poses, edges, informations, predicted, marginals[owners[predicted.before]])
 
     def _drain(self, wait: bool) -> None:

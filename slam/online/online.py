@@ -27,10 +27,11 @@ from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError, SlamError
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish
-from slam.runs.replay import SLAM_TOPICS, summarise, time_matches
+from slam.runs.replay import SLAM_TOPICS, time_matches
 from slam.runs.run_directory import version
 from slam.runs.status import Status
 from slam.runs.stopwatch import Stopwatch
+from slam.runs.summary import summarise
 
 _RANKS = ("p50", "p99", "max")
 
@@ -123,7 +124,7 @@ def _map(
     def source() -> Iterator[Message]:
         return recording.messages(SLAM_TOPICS)
 
-    result = finish(slam, source, [], watch, lambda stage, done: None)
+    result = finish(slam, source, timer=watch)
     observer.finish(result)
     add_results(recording, result, identity, slam.config)
     timing = _timing(live, result, watch, began)

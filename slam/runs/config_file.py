@@ -17,18 +17,40 @@ from slam.runs.renamed_settings import use_new_names
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def load_config(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
+def load_config(
+    path: Path | None, overrides: Sequence[str] = (), base: SlamConfig | None = None
+) -> SlamConfig:
     """Read a TOML file (defaults without one), then apply `section.key=value` overrides.
+
+    With a `base`, its settings stand where neither the file nor an override says otherwise.
 
     Raises:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
-    return load_model(SlamConfig, path, overrides)
+    return load_model(SlamConfig, path, overrides, base.model_dump() if base else None)
 
 
-def load_model(kind: type[Model], path: Path | None, overrides: Sequence[str] = ()) -> Model:
+def settings_as_overrides(settings: Mapping[str, Any]) -> list[str]:
+    """`section.key=value` texts of settings given as Python values."""
+    return [f"{key}={_toml(value)}" for key, value in settings.items()]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return str(value)
+
+
+def load_model(
+    kind: type[Model],
+    path: Path | None,
+    overrides: Sequence[str] = (),
+    base: dict[str, Any] | None = None,
+) -> Model:
     """Read a model of any kind as `load_config` does; raises like it."""
-    data: dict[str, Any] = {}
+    data: dict[str, Any] = base or {}
     if path is not None:
         try:
             data = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -135,13 +135,17 @@ def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = S
 
 
 def finish(
-    slam: Slam, source: Source, truth: list[TruePose], timer: NullTimer, on_progress: Progress,
-    processes: int = 1,
+    slam: Slam, source: Source, truth: Sequence[TruePose] = (), timer: NullTimer | None = None,
+    progress: Progress | None = None, processes: int = 1,
 ) -> Result:  # fmt: skip
     """Optimise a graph whose input has ended, and make all results from it.
 
     More than one of the `processes` is only for a process without other threads.
+
+    Raises:
+        SlamError: there was no usable scan.
     """
+    timer, on_progress = timer or NullTimer(), progress or (lambda stage, done: None)
     if slam.graph is None:
         seen = len(slam.scans)
         raise SlamError(
@@ -169,7 +173,7 @@ def finish(
         final.edges,
         final.informations,
         grid,
-        truth,
+        list(truth),
         slam.lost,
         slam.matches + matches,
     )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import resource
 import time
 from array import array
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from slam.frontend.match_types import Prior, Reference
 from slam.frontend.matching import match
 from slam.logs.messages import Message
 from slam.logs.parts import Recording
-from slam.logs.trajectory import path_length
 from slam.mapping.config import SlamConfig
 from slam.mapping.relocalise import PriorMap
 from slam.mapping.slam import Slam
@@ -31,6 +30,7 @@ from slam.runs.pacing import paced
 from slam.runs.raw_source import messages_from_raw
 from slam.runs.run_directory import new_run, version, write_results, write_summary
 from slam.runs.stopwatch import Stopwatch
+from slam.runs.summary import summarise
 
 SLAM_TOPICS = ("/scan", "/odom", "/tf", "/truth")
 
@@ -48,6 +48,47 @@ class TimedStep:
         self.milliseconds.append((time.perf_counter() - begin) * 1e3)
 
 
+@dataclass(frozen=True, eq=False)
+class FinishedRun:
+    """A log that was mapped, with all that a RUN directory holds."""
+
+    result: Result
+    config: SlamConfig
+    log: str  # its file name
+    log_sha256: str
+    timing: dict[str, Any]  # as in summary.json
+    skipped: dict[str, int]  # data of the log that could not be read, per cause
+    resumed_keyframes: int | None = None  # of the prior map; None if there was none
+
+    def summary(self) -> dict[str, Any]:
+        """What `summary.json` says."""
+        result = self.result
+        result.lost.update(self.skipped)
+        summary = summarise(result, self.log, self.timing, self.config)
+        if self.resumed_keyframes is not None:
+            summary["resumed_keyframes"] = self.resumed_keyframes
+        return summary | {"log_sha256": self.log_sha256, "host": platform.node()}
+
+    def write(self, directory: Path) -> dict[str, Any]:
+        """Write all files of a RUN into a directory that exists; returns its summary.
+
+        Raises:
+            OSError: a file cannot be written.
+        """
+        identity = {
+            "source": self.log, "source_sha256": self.log_sha256, "version": version(),
+            "config_sha256": self.config.sha256(), "host": platform.node(),
+        }  # fmt: skip
+        begin = time.perf_counter()
+        write_results(
+            directory, self.result, identity, self.config.model_dump_json(indent=2).encode()
+        )
+        self.timing["stages_s"]["writing"] = round(time.perf_counter() - begin, 3)
+        summary = self.summary()
+        write_summary(directory, summary)
+        return summary
+
+
 def replay(
     log: Path,
     out: Path,
@@ -59,20 +100,44 @@ def replay(
     prior_map: PriorMap | None = None,
     processes: int = 1,
 ) -> dict[str, Any]:
-    """Run SLAM over a log and write a RUN directory; returns its summary.
-
-    Of a recording in several parts, those behind the named one are taken along.
-
-    With `from_raw`, scans and odometry are decoded anew from the bytes of the devices.  A `rate`
-    of 1 hands messages to the pipeline as slowly as they were measured, 0 as fast as it goes;
-    the results are the same, and so they are with an `observer`.  With a `prior_map`, its map is
-    continued and becomes part of the new run.  Several `processes` place the scans in the end,
-    if this process has no other threads.
+    """Run SLAM over a log as `run_log` does, and write a RUN directory; returns its summary.
 
     Raises:
         LogError: the log cannot be read.
         SlamError: it holds no usable scan.
         RunError: the output cannot be written.
+    """
+    with new_run(out) as partial:
+        run = run_log(log, config, progress, from_raw, rate, observer, prior_map, processes)
+        return run.write(partial)
+
+
+def run_log(
+    log: Path,
+    config: SlamConfig,
+    progress: Progress | None = None,
+    from_raw: bool = False,
+    rate: float = 0.0,
+    observer: Observer | None = None,
+    prior_map: PriorMap | None = None,
+    processes: int = 1,
+) -> FinishedRun:
+    """Run SLAM over a log.  Of a recording in several parts, those behind the named one count too.
+
+    Args:
+        log: the recording.
+        config: of the run.
+        progress: told the stage and how far it is.
+        from_raw: decode scans and odometry anew from the bytes of the devices.
+        rate: 1 hands messages over as slowly as they were measured, 0 as fast as it goes; the
+            results are the same.
+        observer: shown the run as it goes; the results are the same.
+        prior_map: a map to continue, which becomes part of the new run.
+        processes: to place the scans with in the end, if this process has no other threads.
+
+    Raises:
+        LogError: the log cannot be read.
+        SlamError: it holds no usable scan.
     """
     skipped: dict[str, int] = {}
     rates = chain([rate], repeat(0.0))  # what is read again, to place every scan, need not wait
@@ -87,27 +152,13 @@ def replay(
 
     recording = Recording(log)
     source_sha256 = file_sha256(*recording.files)
-    with new_run(out) as partial:
-        if not compiled():
-            if progress is not None:
-                progress("compiling", 0)
-            warm_up(config)
-        result, timing = timed_run(source, config, progress, observer, prior_map, processes)
-        identity = {
-            "source": log.name, "source_sha256": source_sha256, "version": version(),
-            "config_sha256": config.sha256(), "host": platform.node(),
-        }  # fmt: skip
-        config_json = config.model_dump_json(indent=2).encode()
-        begin = time.perf_counter()
-        write_results(partial, result, identity, config_json)
-        timing["stages_s"]["writing"] = round(time.perf_counter() - begin, 3)
-        result.lost.update(skipped)
-        summary = summarise(result, log.name, timing, config)
-        if prior_map is not None:
-            summary["resumed_keyframes"] = len(prior_map.keyframes)
-        summary |= {"log_sha256": source_sha256, "host": platform.node()}
-        write_summary(partial, summary)
-    return summary
+    if not compiled():
+        if progress is not None:
+            progress("compiling", 0)
+        warm_up(config)
+    result, timing = timed_run(source, config, progress, observer, prior_map, processes)
+    resumed = len(prior_map.keyframes) if prior_map is not None else None
+    return FinishedRun(result, config, log.name, source_sha256, timing, skipped, resumed)
 
 
 def _cpu_s() -> float:
@@ -173,45 +224,6 @@ def time_matches(result: Result, most: int = 100) -> float:
 
 def _spread(n: int, most: int) -> Sequence[int]:
     return range(0, n, max(1, -(-n // most)))
-
-
-def summarise(
-    result: Result, log: str, timing: dict[str, Any], config: SlamConfig
-) -> dict[str, Any]:
-    """The keys of `summary.json`."""
-    slam, stamps = result.slam, result.trajectory.stamps_ns
-    closure_results = slam.loops.closure_results
-    gone = slam.records.pruned_counts
-    accepted = sum(v.accepted for v in closure_results) + gone["accepted"]
-    candidates = len(closure_results) + gone["accepted"] + gone["rejected"]
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {
-        "log": log,
-        "scans": len(stamps),
-        "keyframes": len(slam.keyframes),
-        "pruned": gone["keyframes"],
-        "matches": slam.matches,
-        "scan_matches": result.matches - slam.matches,
-        "loops": {
-            "candidates": candidates,
-            "accepted": accepted,
-            "rejected": candidates - accepted,
-        },
-        "distance_m": round(
-            float(path_length(slam.place_history(result.keyframes.poses)[1])[-1]), 3
-        ),
-        "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
-        "timing": timing,
-        "peak_rss_mb": round(peak_kb / 1024, 1),
-        "lost": dict(sorted(result.lost.items())),
-        "noted": dict(sorted(slam.noted.items())),
-        "odometry_faults": dict(sorted(slam.odometry_faults.items())),
-        "odometry_refused": gone["odometry refused"]
-        + sum(not f.used and f.kind == "odometry" for f in slam.records.factors),
-        "lost_keyframes": sum(e.lost for e in slam.records.estimates),
-        "version": version(),
-        "config_sha256": config.sha256(),
-    }
 
 
 def file_sha256(*paths: Path) -> str:

@@ -20,9 +20,9 @@ from slam.mapping.pruning import FormerPlaces, Pruner, PruningConfig
 from slam.mapping.slam import PRUNED, Slam
 from slam.runs.config_file import load_config
 from slam.runs.offline import run_offline
-from slam.runs.replay import summarise
 from slam.runs.resume import read_prior_map
 from slam.runs.run_directory import write_results
+from slam.runs.summary import summarise
 from slam.viewer.event_cursor import EventCursor
 from slam.viewer.frames import Feed
 from slam.viewer.snapshot import View, take
