@@ -28,7 +28,7 @@ def preparer(config: ScanConfig) -> Preparer:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Keyframe:
-    """What is kept of a scan in the graph; its pose lives in the graph."""
+    """A scan in the graph; its pose is held by the graph."""
 
     index: int
     scan_index: int  # position among the scans of the log
@@ -38,7 +38,7 @@ class Keyframe:
     centre: NDArray[np.float64]  # (2,) m, what the scan looks at, in the base frame
     odom_T_base: Pose2
     travelled_m: float  # by odometry and matches, from the first keyframe
-    number: int  # as it was made; where some were thinned out, the index falls behind
+    number: int  # counts all keyframes ever made; pruning makes the index fall behind
 
     @property
     def prepared(self) -> PreparedScan:

@@ -47,7 +47,7 @@ class OdometryConfig(BaseModel):
     """Error model of the P3-DX's dead reckoning, per step between keyframes.
 
     No controlled figure exists for this robot; its manuals trust it for several metres and one
-    or two revolutions, simulators assume 0.75 % to 5 %.  The defaults lie at the wary end.
+    or two revolutions, simulators assume 0.75 % to 5 %.  The defaults lie at the cautious end.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,4 +1,4 @@
-"""Which lie did the odometry tell?  Named after the fact, from matches that are trusted."""
+"""The odometry fault detector: names a fault after the fact, from matches that are trusted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slam.mapping.odometry import OdometryConfig
 
 OdometryFault = Literal["stall", "sign-flip", "slip", "jump", "distance"]
 
-DOUBTFUL = chi_square_limit(0.1, 3)  # an honest step in ten disagrees by more
+DOUBTFUL = chi_square_limit(0.1, 3)  # one consistent step in ten disagrees by more
 LEVER = 0.5  # m per rad: weighs turns against ways when the size of a motion is judged
 
 
@@ -34,8 +34,8 @@ class Step:
     def of(cls, odometry: Pose2, result: MatchResult, seconds: float) -> Step:
         """One step between neighbouring keyframes.
 
-        How far honest odometry may be off follows from the true motion, not from what it tells
-        itself: a lie would excuse itself by its size.
+        How far sound odometry may be off follows from the true motion, not from what the
+        odometry says: else a large fault would widen its own limits.
         """
         matched = result.target_T_source
         distance, turn = float(np.hypot(matched.x(), matched.y())), abs(matched.theta())
@@ -43,9 +43,9 @@ class Step:
 
 
 class FaultDetector:
-    """Watches odometry and matches side by side and names each lie once, when it is evident.
+    """Compares odometry and matches, and names each fault once, when it is evident.
 
-    A lie often lasts several keyframes, none of which refutes the odometry alone (a short step
+    A fault often lasts several keyframes, none of which refutes the odometry alone (a short step
     of the wrong sign is within its error).  So doubtful steps of one kind that follow each
     other are judged together, as one long step.
     """
@@ -59,9 +59,9 @@ class FaultDetector:
         self._other: tuple[OdometryFault, Step] | None = None  # steps of another kind after a name
 
     def watch(self, step: Step, refused: bool) -> OdometryFault | None:
-        """The lie that this step makes evident; None for an honest one or one already named.
+        """The fault that this step makes evident; None if there is none, or it is already named.
 
-        `refused` says that the odometry of this step was refuted all by itself.
+        `refused` says that the odometry of this step was refused on its own.
         """
         if not refused and self._disagreement(step) <= DOUBTFUL:
             self.forget()
@@ -80,7 +80,7 @@ class FaultDetector:
     def _after_the_name(self, step: Step, kind: OdometryFault) -> OdometryFault | None:
         """Another name for the same run, if several of its steps in a row bear that one out.
 
-        Where a lie begins or ends, half a step may look like another kind.
+        Where a fault begins or ends, half a step may look like another kind.
         """
         if kind == self._kind:
             self._other = None
@@ -99,7 +99,7 @@ class FaultDetector:
         self._run, self._kind, self._named, self._other = None, None, False, None
 
     def _disagreement(self, step: Step) -> float:
-        """Squared Mahalanobis distance of both motions, chi-square of 3 if both are honest."""
+        """Squared Mahalanobis distance of both motions, chi-square of 3 if both are right."""
         error = Pose2.Logmap(step.odometry.between(step.matched))
         covariance = self._config.covariance(step.distance, step.turn, step.seconds)
         known = np.linalg.inv(covariance)
@@ -108,21 +108,21 @@ class FaultDetector:
 
 
 def kind_of(odometry: Pose2, matched: Pose2) -> OdometryFault:
-    """The lie that would turn the true step `matched` into what the odometry says.
+    """The fault that would turn the true step `matched` into what the odometry says.
 
     "stall": hardly any motion where there was some; "sign-flip": the way mirrored; "slip": a wrong
     turn; "jump": far more way than there was; "distance": another wrong way.
     """
-    told, true = _way(odometry), _way(matched)
-    turn_told, turn_true = LEVER * abs(odometry.theta()), LEVER * abs(matched.theta())
-    if np.hypot(*told) + turn_told < 0.5 * (np.hypot(*true) + turn_true):
+    claimed, true = _way(odometry), _way(matched)
+    turn_claimed, turn_true = LEVER * abs(odometry.theta()), LEVER * abs(matched.theta())
+    if np.hypot(*claimed) + turn_claimed < 0.5 * (np.hypot(*true) + turn_true):
         return "stall"
-    if told @ true < 0.0 and np.hypot(*(told + true)) < 0.5 * np.hypot(*(told - true)):
+    if claimed @ true < 0.0 and np.hypot(*(claimed + true)) < 0.5 * np.hypot(*(claimed - true)):
         return "sign-flip"
     error = odometry.between(matched)
     if LEVER * abs(error.theta()) > np.hypot(error.x(), error.y()):
         return "slip"
-    if np.hypot(*told) > 2.0 * np.hypot(*true):
+    if np.hypot(*claimed) > 2.0 * np.hypot(*true):
         return "jump"
     return "distance"
 

@@ -1,4 +1,4 @@
-"""A map made before as the pipeline's past, and where in it the robot starts."""
+"""A map made before, to be continued, and where in it the robot starts."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from slam.mapping.keyframe import Keyframe
 Matrix = NDArray[np.float64]
 
 APART_M = 3.0  # m between the places of the old map that are tried
-ELSEWHERE_M, ELSEWHERE_RAD = 1.0, 0.3  # two answers farther apart are different ones
-SOMEWHERE = np.diag([1.0, 1.0, 4.0]) ** 2  # m, m, rad about a place: any heading
+ELSEWHERE_M, ELSEWHERE_RAD = 1.0, 0.3  # two results farther apart are different ones
+ANY_HEADING = np.diag([1.0, 1.0, 4.0]) ** 2  # m, m, rad about a place: any heading
 NEAR_START = np.diag([0.5, 0.5, 0.2]) ** 2  # m, m, rad: how far off a given start may be
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PriorMap:
-    """What a finished run hands on."""
+    """What a finished run hands over to the next."""
 
     keyframes: list[Keyframe]
     poses: Matrix  # (n, 3) map_T_base of the keyframes
@@ -51,7 +51,7 @@ def relocalise(
     found: list[tuple[int, Closure]] = []
     for anchor in _places(graph.poses, start):
         if start is None:
-            predicted, covariance = Pose2(), SOMEWHERE
+            predicted, covariance = Pose2(), ANY_HEADING
         else:
             predicted, covariance = graph.pose(anchor).between(start), NEAR_START
         half = config.loops.target_half
@@ -78,7 +78,7 @@ def relocalise(
                 return None
     assert best.result is not None
     edge = Edge("icp", anchor, len(graph), best.result.target_T_source, best.result.information)
-    # A corridor would leave the new part of the map loose along it.
+    # In a corridor the position along it would stay open.
     well_constrained = np.linalg.eigvalsh(graph.weight(edge)[:2, :2])[0] > 1.0 / ELSEWHERE_M**2
     return edge if well_constrained else None
 

@@ -46,13 +46,13 @@ class LocaliseConfig(BaseModel):
         0.7,
         ge=0,
         le=1,
-        description="the same where the odometry was found out to lie: only beyond "
-        "this no other start is tried",
+        description="share of beams that must fit where the odometry was found faulty, "
+        "or other starts are tried",
     )
 
 
 def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
-    """The guess as a loose prior."""
+    """The guess as a wide prior."""
     return Prior(guess, np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2)
 
 
@@ -102,7 +102,7 @@ class ScanLocaliser:
         The match from the guess needs no scan before it: who has made it already hands it in as
         `first`.
 
-        Where the odometry lies between two keyframes, or comes late in a turn, the guess is off by
+        Where the odometry is wrong between two keyframes, or late in a turn, the guess is off by
         more than it should: then the search starts again from where the last scan was found.  A
         match from the guess is good enough unless that odometry is faulty: in a corridor other
         starts find other places that look alike.  What they find farther off than `reach_m`, and

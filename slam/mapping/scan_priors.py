@@ -18,7 +18,7 @@ class PredictedPoses:
 
     poses: Matrix  # (n, 3) map_T_base
     reach_m: Matrix  # (n,) m, to the farther of the two
-    odometry_faulty: NDArray[np.bool_]  # (n,) whether the odometry that leads there was refuted
+    odometry_faulty: NDArray[np.bool_]  # (n,) whether the odometry that leads there was refused
     before: NDArray[np.intp]  # (n,) which keyframe is the one before, 0 where there is none
 
 

@@ -1,4 +1,4 @@
-"""Scans with their odometry: a scan waits until the wheels have told where it was taken."""
+"""Scans with their odometry: a scan waits until there is odometry after it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ScanWithOdometry:
 
     scan: LaserScan
     odom_T_base: Pose2
-    moved: tuple[float, float, float]  # x, y (m), theta (rad); zero if sweeps are not unbent
+    moved: tuple[float, float, float]  # x, y (m), theta (rad); zero if scans are not deskewed
     late: bool  # its odometry did not come in time; the last reading stands in
 
 
@@ -78,12 +78,12 @@ class StampedScan:
     turn_rate: float  # rad/s
 
 
-ZERO_BIAS = (0.0, 0.0)  # m/s and rad/s by which the wheels are suspected to tell a wrong motion
+ZERO_BIAS = (0.0, 0.0)  # m/s and rad/s by which the odometry is suspected to be off
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdometryIncrement:
-    """What the wheels told from one sighting to a later one."""
+    """The motion by odometry from one stamped scan to a later one."""
 
     first: StampedScan
     last: StampedScan
@@ -118,7 +118,7 @@ class OdometryIncrement:
 def next_stamped_scan(
     scan: LaserScan, odom_T_base: Pose2, index: int, last: StampedScan | None
 ) -> StampedScan:
-    """The sighting after `last`, which is None for the first of a log."""
+    """The stamped scan after `last`, which is None for the first of a log."""
     if last is None:
         return StampedScan(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
     step = last.odom_T_base.between(odom_T_base)

@@ -69,14 +69,14 @@ def run_offline(
         source: gives the messages from the start, each time it is called.
         config: of the whole run.
         timer: measures where the time goes.
-        progress: told the stage and the number of messages or scans done.
+        progress: called with the stage and the number of messages or scans done.
         step: how a message is handed to the pipeline; replaced to time it.
-        prior_map: a run to go on with; its map becomes part of this one.
+        prior_map: a map to continue, which becomes part of this one.
         processes: to place the scans with; more than one only in a process without other threads.
 
     Raises:
-        SlamError: the log holds no usable scan, or no odometry, or its place in the past is not
-            found.
+        SlamError: the log holds no usable scan, or no odometry, or its place in the prior map is
+            not found.
     """
     timer, on_progress = timer or NullTimer(), progress or (lambda stage, done: None)
     slam = Slam(config, timer)

@@ -122,4 +122,4 @@ def _work_on(
         while made := [work(item) for item in islice(share, _STRIPE)]:
             sender.send(made)
     except Exception:
-        return  # the process that was copied does the same, and tells what is wrong
+        return  # the process that was copied does the same, and says what is wrong

@@ -47,7 +47,7 @@ def reoptimise(
     """Optimise a run or a g2o file again, and write what comes of it as a new run.
 
     The source is only read.  Of a run, all factors are judged anew, also loops that were
-    withdrawn before; its trajectory follows the keyframes.
+    removed before; its trajectory follows the keyframes.
 
     Raises:
         RunError: the source is no run, or the output cannot be written.

@@ -127,7 +127,7 @@ def run_log(
     Args:
         log: the recording.
         config: of the run.
-        progress: told the stage and how far it is.
+        progress: called with the stage and how far it is.
         from_raw: decode scans and odometry anew from the bytes of the devices.
         rate: 1 hands messages over as slowly as they were measured, 0 as fast as it goes; the
             results are the same.
@@ -176,21 +176,21 @@ def timed_run(
     processes: int = 1,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
-    watch, step, watching = Stopwatch(), TimedStep(), observer or NullObserver()
+    timer, step, watcher = Stopwatch(), TimedStep(), observer or NullObserver()
 
-    def told(stage: str, done: float) -> None:
-        watching.stage(stage)
+    def on_stage(stage: str, done: float) -> None:
+        watcher.stage(stage)
         if progress is not None:
             progress(stage, done)
 
-    def shown(slam: Slam, message: Message) -> None:
+    def on_message(slam: Slam, message: Message) -> None:
         step(slam, message)
-        watching.show(slam, message)
+        watcher.show(slam, message)
 
     wall, cpu = time.perf_counter(), _cpu_s()
-    result = run_offline(source, config, watch, told, shown, prior_map, processes)
+    result = run_offline(source, config, timer, on_stage, on_message, prior_map, processes)
     wall, cpu = time.perf_counter() - wall, _cpu_s() - cpu
-    watching.finish(result)
+    watcher.finish(result)
     stamps = result.trajectory.stamps_ns
     duration = float(stamps[-1] - stamps[0]) * 1e-9
     steps = np.array(step.milliseconds)
@@ -201,7 +201,7 @@ def timed_run(
         "match_us_median": round(time_matches(result), 1),
         "step_ms_p50": round(float(np.percentile(steps, 50)), 4),
         "step_ms_p99": round(float(np.percentile(steps, 99)), 4),
-        "stages_s": {name: round(s, 3) for name, s in sorted(watch.seconds.items())},
+        "stages_s": {name: round(s, 3) for name, s in sorted(timer.seconds.items())},
     }
     return result, timing
 
