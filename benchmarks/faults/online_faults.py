@@ -40,7 +40,6 @@ from benchmarks.faults.drive import STARTS_S, DriveFaults, FaultyDrive
 from benchmarks.kept_runs import KeptRuns
 from slam.mapping.config import SlamConfig
 from slam.mapping.slam import Slam
-from slam.mapping.stage_timer import NullTimer
 from slam.runs.errors import RunError
 from slam.runs.offline import feed, finish
 from slam.runs.replay import SLAM_TOPICS
