@@ -80,12 +80,23 @@ def _own(topic: str, name: str, kind: Callable[..., Any]) -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
+        _UPGRADES.get(name, _as_it_is)(values)
         if flaw := _FLAWS.get(name, _no_flaw)(values):
             raise ValueError(flaw)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
     return Channel(topic, name, encode, decode)
+
+
+def _as_it_is(values: dict[str, Any]) -> None:
+    pass
+
+
+def _split_sums(values: dict[str, Any]) -> None:
+    """Give predicted sigmas their own field: older logs hold them in place of the four sums."""
+    if len(values["sums"]) == _SIGMAS and not values["predicted_sigmas"]:
+        values["predicted_sigmas"], values["sums"] = values["sums"], ()
 
 
 def _no_flaw(values: dict[str, Any]) -> str:
@@ -100,6 +111,10 @@ def _health_flaw(values: dict[str, Any]) -> str:
     matched = len(values["names"]) == len(values["values"])
     return "" if matched else "names and values of unequal number"
 
+
+_SIGMAS = 3  # x, y, theta
+_UPGRADES = {"KeyframeDecision": _split_sums}
+"""How fields that an older program wrote become those of today."""
 
 _FACTOR_KINDS = ("prior", "odometry", "icp", "loop")
 _FLAWS = {"FactorRecord": _factor_flaw, "DeviceHealth": _health_flaw}
