@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-slow fuzz lint types format clean
+.PHONY: demo test test-slow fuzz lint types format proto clean
 
 $(READY): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -43,6 +43,10 @@ types:
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# The compiled form of the log's messages; a test compares it with its source.
+proto: $(READY)
+	$(BIN)/python -m grpc_tools.protoc -I logs --descriptor_set_out=logs/slam.binpb logs/slam.proto
 
 clean:
 	rm -rf $(VENV) .types demo-out bench-out .pytest_cache .mypy_cache .ruff_cache

@@ -101,8 +101,9 @@ class KeyframeDecision:
     turned_rad: float
     interval_m: float  # the interval that was chosen for this step
     t_pe: float  # Equation 2 of the seed paper; nan for other methods
-    sums: tuple[float, ...]  # |diff_L|, |diff2_L|, |diff_R|, |diff2_R|, or predicted sigmas
+    sums: tuple[float, ...]  # |diff_L|, |diff2_L|, |diff_R|, |diff2_R| (m); empty if none
     achieved_sigmas: tuple[float, ...]  # of the match: x (m), y (m), theta (rad); empty if none
+    predicted_sigmas: tuple[float, ...] = ()  # likewise, foreseen at the keyframe before
 
 
 @dataclass(frozen=True, slots=True)

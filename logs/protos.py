@@ -5,12 +5,14 @@ heading behind a quaternion, a scan's angle step and reach) travels in the same 
 a field `slam` numbered far above theirs, as protobuf allows: no second channel has to be
 paired with the first, and the schema embedded in the file describes every field.
 
-Field numbers are a contract with every log ever written: append, never renumber or reuse.
+Our messages are described in `slam.proto`, for people and other programs, and loaded from the
+compiled form beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from foxglove_schemas_protobuf import (
@@ -20,69 +22,20 @@ from foxglove_schemas_protobuf import (
     Log_pb2,
     Odometry_pb2,
 )
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pool, message_factory
 from google.protobuf.descriptor import FileDescriptor
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
 
 PACKAGE = "slam.v1"
 OUR_FIELD = 1000  # Foxglove numbers its fields from 1 and uses fewer than twenty
 
-_TYPES = {
-    "double": FieldDescriptorProto.TYPE_DOUBLE,
-    "int64": FieldDescriptorProto.TYPE_INT64,
-    "bool": FieldDescriptorProto.TYPE_BOOL,
-    "string": FieldDescriptorProto.TYPE_STRING,
-}
-
-# name, type ("double..." is repeated); a field's number is its place, counted from 1
-_FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
-    "ScanDetail": (
-        ("angle_step", "double"),
-        ("range_min", "double"),
-        ("range_max", "double"),
-        ("beam_period_s", "double"),
-    ),
-    "PoseDetail": (("theta", "double"), ("lost", "bool")),
-    "GridDetail": (("rows", "int64"),),
-    "KeyframeDecision": (
-        ("index", "int64"),
-        ("scan_index", "int64"),
-        ("reason", "string"),
-        ("axis", "string"),
-        ("travelled_m", "double"),
-        ("turned_rad", "double"),
-        ("interval_m", "double"),
-        ("t_pe", "double"),
-        ("sums", "double..."),
-        ("achieved_sigmas", "double..."),
-    ),
-    "FactorRecord": (
-        ("kind", "string"),
-        ("i", "int64"),
-        ("j", "int64"),
-        ("x", "double"),
-        ("y", "double"),
-        ("theta", "double"),
-        ("covariance", "double..."),
-        ("used", "bool"),
-        ("note", "string"),
-    ),
-    "LoopVerdict": (
-        ("i", "int64"),
-        ("j", "int64"),
-        ("accepted", "bool"),
-        ("reason", "string"),
-        ("score", "double"),
-        ("second_score", "double"),
-        ("chi_square", "double"),
-    ),
-    "DeviceHealth": (
-        ("device", "string"),
-        ("link", "string"),
-        ("names", "string..."),
-        ("values", "string..."),
-    ),
-}
+_COMPILED = Path(__file__).with_name("slam.binpb")
+"""`slam.proto` as a FileDescriptorSet: it loads in a millisecond and needs no compiler."""
 
 _FOXGLOVE: dict[str, tuple[FileDescriptor, str]] = {
     "LaserScan": (LaserScan_pb2.DESCRIPTOR, "ScanDetail"),
@@ -94,24 +47,27 @@ _FOXGLOVE: dict[str, tuple[FileDescriptor, str]] = {
 """Foxglove's message, and ours that goes with it; empty where theirs says it all."""
 
 
-def _own_file(name: str) -> FileDescriptorProto:
-    """Describe one of our messages in a file of its own.
+def _own_messages() -> dict[str, DescriptorProto]:
+    """Read the descriptions of our messages, by name.
 
-    Single fields are `optional`, so that a zero, a minus zero and an absent one differ.
+    Raises:
+        OSError: if the program is installed without `slam.binpb`.
     """
-    file = FileDescriptorProto(name=f"slam/v1/{name}.proto", package=PACKAGE, syntax="proto3")
-    message = file.message_type.add(name=name)
-    for number, (field_name, kind) in enumerate(_FIELDS[name], start=1):
-        field = message.field.add(name=field_name, number=number)
-        field.type = _TYPES[kind.removesuffix("...")]
-        if kind.endswith("..."):
-            field.label = FieldDescriptorProto.LABEL_REPEATED
-            continue
-        field.label = FieldDescriptorProto.LABEL_OPTIONAL
-        field.proto3_optional = True
-        field.oneof_index = len(message.oneof_decl)
-        message.oneof_decl.add(name=f"_{field_name}")
-    return file
+    (file,) = FileDescriptorSet.FromString(_COMPILED.read_bytes()).file
+    for message in file.message_type:
+        for field in message.field:
+            field.ClearField("json_name")  # the compiler's guess, in no schema of our logs
+    return {message.name: message for message in file.message_type}
+
+
+_OWN = _own_messages()
+
+
+def _own_file(name: str) -> FileDescriptorProto:
+    """Describe one of our messages in a file of its own: a log holds only what it needs."""
+    return FileDescriptorProto(
+        name=f"slam/v1/{name}.proto", package=PACKAGE, syntax="proto3", message_type=[_OWN[name]]
+    )
 
 
 def _copy(source: FileDescriptor) -> FileDescriptorProto:
@@ -164,7 +120,7 @@ def full_name(name: str) -> str:
 
 def descriptor_set(name: str) -> bytes:
     """Return the serialized FileDescriptorSet that MCAP embeds as the message's schema."""
-    files = descriptor_pb2.FileDescriptorSet(file=_files_of(name).values())
+    files = FileDescriptorSet(file=_files_of(name).values())
     return files.SerializeToString(deterministic=True)
 
 
@@ -196,4 +152,4 @@ CLASSES = _classes((*_FOXGLOVE, *OWN_NAMES))
 
 def field_names(name: str) -> tuple[str, ...]:
     """Return the field names of one of our own messages, in the order of their numbers."""
-    return tuple(field_name for field_name, _ in _FIELDS[name])
+    return tuple(field.name for field in _OWN[name].field)

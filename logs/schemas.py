@@ -62,9 +62,11 @@ def _raw(topic: str, device: Any, direction: Any) -> Channel:
     return Channel(topic, "", encode, decode)
 
 
-def _own(topic: str, kind: Callable[..., Any], name: str = "") -> Channel:
-    """Return the channel of a message of plain fields, under the schema name that old logs have."""
-    name = name or kind.__name__
+def _own(topic: str, name: str, kind: Callable[..., Any]) -> Channel:
+    """Return the channel of a message of plain fields, written under their own names.
+
+    `name` is that of the protobuf message, which stays when the class is renamed.
+    """
     fields = protos.field_names(name)
     cls = protos.CLASSES[name]
 
@@ -78,12 +80,23 @@ def _own(topic: str, kind: Callable[..., Any], name: str = "") -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
+        _UPGRADES.get(name, _as_it_is)(values)
         if problem := _FLAWS.get(name, _no_flaw)(values):
             raise ValueError(problem)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
     return Channel(topic, name, encode, decode)
+
+
+def _as_it_is(values: dict[str, Any]) -> None:
+    pass
+
+
+def _split_sums(values: dict[str, Any]) -> None:
+    """Give predicted sigmas their own field: older logs hold them in place of the four sums."""
+    if len(values["sums"]) == _SIGMAS and not values["predicted_sigmas"]:
+        values["predicted_sigmas"], values["sums"] = values["sums"], ()
 
 
 def _no_flaw(values: dict[str, Any]) -> str:
@@ -99,6 +112,10 @@ def _health_flaw(values: dict[str, Any]) -> str:
     return "" if matched else "names and values of unequal number"
 
 
+_SIGMAS = 3  # x, y, theta
+_UPGRADES = {"KeyframeDecision": _split_sums}
+"""How fields that an older program wrote become those of today."""
+
 _FACTOR_KINDS = ("prior", "odometry", "icp", "loop")
 _FLAWS = {"FactorRecord": _factor_flaw, "DeviceHealth": _health_flaw}
 """What the fields of a message must not be, beside what the schema says."""
@@ -110,11 +127,11 @@ _ALL = (
     Channel("/truth", "Odometry", foxglove.encode_truth, foxglove.decode_truth),
     Channel("/pose", "Odometry", foxglove.encode_pose, foxglove.decode_pose),
     Channel("/map", "Grid", foxglove.encode_map, foxglove.decode_map),
-    _own("/keyframe", KeyframeDecision),
-    _own("/factor", FactorRecord),
-    _own("/loop", LoopResult, "LoopVerdict"),
+    _own("/keyframe", "KeyframeDecision", KeyframeDecision),
+    _own("/factor", "FactorRecord", FactorRecord),
+    _own("/loop", "LoopVerdict", LoopResult),
     Channel("/log", "Log", foxglove.encode_log, foxglove.decode_log),
-    _own("/diagnostics", DeviceHealth),
+    _own("/diagnostics", "DeviceHealth", DeviceHealth),
     _raw("/raw/p3dx/rx", "p3dx", "rx"),
     _raw("/raw/p3dx/tx", "p3dx", "tx"),
     _raw("/raw/laser/rx", "laser", "rx"),

@@ -36,7 +36,6 @@ def decision_record(
         registration: the outcome of the match; None where there was none.
     """
     complexity, prediction = interval.complexity, interval.prediction
-    sums: tuple[float, ...] = complexity.sums if complexity else ()
     sigmas: tuple[float, ...] = ()
     if registration is not None and registration.match_trusted:
         sigmas = registration.result.sigmas
@@ -44,7 +43,7 @@ def decision_record(
         scan.stamp_ns, number, index, reason, prediction.axis if prediction else "",
         float(np.hypot(moved.x(), moved.y())), abs(moved.theta()), float(interval.length),
         complexity.t_pe if complexity else float("nan"),
-        prediction.sigmas if prediction else sums, sigmas,
+        complexity.sums if complexity else (), sigmas, prediction.sigmas if prediction else (),
     )  # fmt: skip
 
 

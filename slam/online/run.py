@@ -9,13 +9,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
+from slam.logs.atomic_write import atomic_write
 from slam.logs.mcap_log import LogWriter, open_log
 from slam.logs.parts import Recording
 from slam.mapping.config import SlamConfig
 from slam.runs.errors import RunError
 from slam.runs.offline import Result
 from slam.runs.run_directory import write_results, write_summary
-from slam.runs.toml_text import toml_text
 
 RECORDING = "recording.mcap"  # becomes part of run.mcap; of several files, all stay
 UNFINISHED = ".recording"  # suffix of the folder; not `.partial`, which a replay may remove
@@ -106,5 +108,6 @@ def add_results(
 
 def finish_folder(folder: Path, summary: Mapping[str, Any], config: SlamConfig) -> None:
     """Write the summary, and the settings as `slam replay --config` takes them."""
-    (folder / "slam.toml").write_text(toml_text(config.model_dump()), encoding="utf-8")
+    settings = tomli_w.dumps(config.model_dump(exclude_none=True))
+    atomic_write(folder / "slam.toml", settings)
     write_summary(folder, summary)

@@ -29,6 +29,7 @@ integers = st.integers(-(2**63), 2**63 - 1)
 texts = st.text(max_size=40)
 nine = st.tuples(*[numbers] * 9)
 lists = st.lists(numbers, max_size=6).map(tuple)
+wall_sums = st.one_of(st.just(()), st.tuples(*[numbers] * 4))
 
 
 def quiet(ranges: np.ndarray) -> np.ndarray:
@@ -59,7 +60,7 @@ messages = st.one_of(
     st.builds(PoseEstimate, *planar, st.one_of(st.just(()), nine), st.booleans()),
     st.builds(
         KeyframeDecision, stamps, integers, integers, texts, texts, numbers, numbers, numbers,
-        numbers, lists, lists,
+        numbers, wall_sums, lists, lists,
     ),
     st.builds(
         FactorRecord, stamps, st.sampled_from(["prior", "odometry", "icp", "loop"]), integers,

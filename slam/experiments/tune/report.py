@@ -6,6 +6,8 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import tomli_w
+
 from slam.experiments.batch.sources import stem
 from slam.experiments.tune.objective import Score, together
 from slam.experiments.tune.space import values_of
@@ -13,7 +15,6 @@ from slam.experiments.tune.tune import LogScore, Tuned
 from slam.logs.atomic_write import atomic_write
 from slam.mapping.config import SlamConfig
 from slam.runs.run_directory import version
-from slam.runs.toml_text import toml_text
 
 
 def write_tuned(tuned: Tuned) -> None:
@@ -55,7 +56,7 @@ def config_text(tuned: Tuned) -> str:
     ]  # fmt: skip
     head = "".join(f"# {line}\n" for line in lines)
     names = [p.name.split(".")[:2] for p in plan.parameters]
-    return f"{head}\n{toml_text(_differences(tuned.config, names))}"
+    return f"{head}\n{tomli_w.dumps(_differences(tuned.config, names))}"
 
 
 def document(tuned: Tuned) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from gtsam import Pose2
 
 from slam.drivers.scip_scan import ScanRequest
@@ -32,7 +33,6 @@ from slam.logs.trajectory import Trajectory, write_tum
 from slam.mapping.config import SlamConfig
 from slam.online.robot_config import LaserPort, MountConfig, RobotConfig, RobotPort
 from slam.runs.errors import RunError
-from slam.runs.toml_text import toml_text
 
 _FAR_S = 1e9  # a start that is not yet decided
 _READY_S = 150.0  # kernels may have to be compiled first
@@ -119,7 +119,8 @@ def drive_online(
     with tempfile.TemporaryDirectory(prefix="slam-demo-") as ports:
         robot = SimulatedRobot(Path(ports), plan)
         config = folder / "robot.toml"
-        config.write_text(toml_text(robot.config(settings).model_dump()), encoding="utf-8")
+        written = robot.config(settings).model_dump(exclude_none=True)
+        config.write_text(tomli_w.dumps(written), encoding="utf-8")
         with (
             SimulatorServer(robot.ports) as server,
             _online(config, folder, say, plan.most_s) as process,

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tomli_w
 from gtsam import Pose2
 from slam.drivers.simulators.hokuyo_device import HokuyoDevice
 from slam.drivers.simulators.hokuyo_models import MODELS
@@ -34,7 +35,6 @@ from slam.runs.compiling.warmup import warm_up
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError, SlamError
 from slam.runs.replay import replay
-from slam.runs.toml_text import toml_text
 
 SAME = ("graph.g2o", "graph.times.csv", "trajectory.tum", "keyframes.tum", "odometry.tum",
         "map.pgm")  # fmt: skip
@@ -287,7 +287,9 @@ def finished(process):
 )
 def test_a_signal_leaves_a_complete_run(simulated, tmp_path, number, code):
     with simulated() as robot:
-        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        (tmp_path / "robot.toml").write_text(
+            tomli_w.dumps(robot.config.model_dump(exclude_none=True))
+        )
         process = command(
             "online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
             "--set", "loops.enabled=false", preexec_fn=as_from_a_terminal,
@@ -305,7 +307,9 @@ def test_a_signal_leaves_a_complete_run(simulated, tmp_path, number, code):
 
 def test_under_nohup_a_closed_terminal_is_no_reason_to_stop(simulated, tmp_path):
     with simulated() as robot:
-        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        (tmp_path / "robot.toml").write_text(
+            tomli_w.dumps(robot.config.model_dump(exclude_none=True))
+        )
         before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # which a child inherits
         try:
             process = command("online", "--config", tmp_path / "robot.toml", "--record-only",
@@ -329,7 +333,9 @@ def wait_for(condition, seconds=40.0):
 
 def test_a_killed_run_leaves_a_recording_to_recover(simulated, tmp_path):
     with simulated() as robot:
-        (tmp_path / "robot.toml").write_text(toml_text(robot.config.model_dump()))
+        (tmp_path / "robot.toml").write_text(
+            tomli_w.dumps(robot.config.model_dump(exclude_none=True))
+        )
         process = command("online", "--config", tmp_path / "robot.toml", "--out", tmp_path / "run",
                           "--record-only")  # fmt: skip
         wait_for(lambda: robot.laser.state == "stream" and robot.base.sending)
