@@ -8,6 +8,7 @@ from typing import Any
 from slam.logs.errors import LogError
 from slam.logs.importers.bag.channels import Channel
 
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 _IDL_RULE = "=" * 80 + "\n"
 
 
@@ -25,7 +26,7 @@ class Decoder:
             LogError: rosbags is not installed.
         """
         try:
-            from rosbags.typesys import Stores, get_typestore
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError as error:
             raise LogError(
                 "reading ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
@@ -35,6 +36,8 @@ class Decoder:
             "cdr": get_typestore(Stores.ROS2_HUMBLE),
             "ros1": get_typestore(Stores.ROS1_NOETIC),
         }
+        for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):  # rosbags has them for ROS 2
+            self._standard["ros1"].register(get_types_from_msg(_TRANSFORMS, kind))
         self._stores: dict[Channel, list[Any]] = {}
 
     def __call__(self, channel: Channel, data: bytes) -> Any:
