@@ -48,7 +48,7 @@ def _require_known_version(log: Log) -> None:
 
 def _require_our_channels(log: Log) -> None:
     channels = log.channels() if log.has_summary else _channels_met(log)
-    if channels and not any(_is_ours(topic, schema) for topic, schema in channels.items()):
+    if channels and not any(is_ours(topic, schema) for topic, schema in channels.items()):
         found = ", ".join(f"{shown(t)} ({shown(s) or 'no schema'})" for t, s in channels.items())
         raise LogError(
             f"{log.path}: has none of our channels, only {found[:400]}: "
@@ -66,11 +66,12 @@ def _channels_met(log: Log) -> dict[str, str]:
         channels = log.channel_ids()
         if len(channels) > known:
             known = len(channels)
-            if any(_is_ours(*channel) for channel in channels.values()):
+            if any(is_ours(*channel) for channel in channels.values()):
                 break
     log.skipped.clear()
     return log.channels()
 
 
-def _is_ours(topic: str, schema_name: str) -> bool:
+def is_ours(topic: str, schema_name: str) -> bool:
+    """Whether a channel is one of ours, in topic and schema."""
     return topic in CHANNELS and CHANNELS[topic].schema_name == schema_name

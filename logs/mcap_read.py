@@ -142,6 +142,11 @@ class Log:
             for channel in self._summary.channels.values()
         }
 
+    def described(self, channel_id: int) -> tuple[records.Channel, records.Schema | None] | None:
+        """Return a channel as the file describes it, with its schema; None if it does not."""
+        channel = self._summary.channels.get(channel_id)
+        return channel and (channel, self._summary.schemas.get(channel.schema_id))
+
     @property
     def has_summary(self) -> bool:
         """Whether the file lists its channels at its end; some programs leave that out."""

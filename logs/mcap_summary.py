@@ -75,10 +75,27 @@ def open_file(path: Path) -> IO[bytes]:
     file.close()
     if not with_magic:
         raise LogError(f"{path}: is empty: nothing was recorded")
+    if with_magic.startswith((b"#ROSBAG", b"#ROSRECO", b"SQLite f")):
+        raise LogError(
+            f"{path}: is a ROS bag: `slam import {path} --out LOG.mcap` reads what is intact of "
+            "it, closed or not"
+        )
     raise LogError(
         f"{path}: is not an MCAP log: convert CARMEN and other logs with "
         f"`slam import {path} --out LOG.mcap`"
     )
+
+
+def read_header(file: IO[bytes]) -> tuple[str, str]:
+    """Return the profile and the library that a file names at its start; empty if damaged."""
+    try:
+        record = next(walk(file, len(MAGIC), os.fstat(file.fileno()).st_size))
+        if record.opcode != Opcode.HEADER:
+            return "", ""
+        header = records.Header.read(stream(read_body(file, record)))
+    except (Damaged, StopIteration, *PARSE_ERRORS):
+        return "", ""
+    return header.profile, header.library
 
 
 def read_summary(file: IO[bytes], path: Path) -> Summary:

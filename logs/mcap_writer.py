@@ -19,8 +19,8 @@ def library_name() -> str:
         return "sdp-slam/unknown"
 
 
-def new_writer(stream: IO[bytes], chunk_bytes: int) -> Writer:
-    """Start an MCAP file as all of ours are: no profile, zstd, every checksum."""
+def new_writer(stream: IO[bytes], chunk_bytes: int, profile: str = "", library: str = "") -> Writer:
+    """Start an MCAP file as all of ours are: zstd, every checksum, no profile but a copy's."""
     writer = Writer(
         stream,
         chunk_size=chunk_bytes,
@@ -28,5 +28,5 @@ def new_writer(stream: IO[bytes], chunk_bytes: int) -> Writer:
         enable_crcs=True,
         enable_data_crcs=True,
     )
-    writer.start(profile="", library=library_name())
+    writer.start(profile=profile, library=library or library_name())
     return writer

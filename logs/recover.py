@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.logs.errors import LogError
-from slam.logs.mcap_summary import open_file
+from slam.logs.mcap_summary import open_file, read_header
 from slam.logs.mcap_writer import CHUNK_BYTES, new_writer
 from slam.logs.partial import PartialFile
 from slam.logs.salvage import Salvage
@@ -42,7 +42,8 @@ def recover(source: Path | str, target: Path | str) -> RecoveryReport:
 
     A message is saved if its whole chunk is there and fits its checksum.  Of a chunk that
     the file's end cuts off, the messages that can still be unpacked are saved as well and
-    counted as `unchecked`.
+    counted as `unchecked`.  The copy keeps the source's profile and library, by which other
+    programs tell what is in it.
 
     Raises:
         LogError: if the source is no MCAP file, holds no intact message, attachment or
@@ -54,7 +55,8 @@ def recover(source: Path | str, target: Path | str) -> RecoveryReport:
             raise LogError(f"{target}: is the damaged log itself: name another file to write")
         out = PartialFile(target, keep=False, suffix=".recovering")
         try:
-            salvage = Salvage(source, file, new_writer(out.stream, CHUNK_BYTES))
+            writer = new_writer(out.stream, CHUNK_BYTES, *read_header(file))
+            salvage = Salvage(source, file, writer)
             salvage.run()
             if salvage.copied.nothing:
                 raise LogError(f"{source}: holds nothing that is intact: it cannot be recovered")

@@ -8,13 +8,17 @@ from pathlib import Path
 
 from slam.logs.errors import LogError
 from slam.logs.importers import g2o_scans
+from slam.logs.importers.bag.files import is_bag
+from slam.logs.importers.bag.mcap import channel_of, open_mcap, require_ros
 from slam.logs.importers.breezyslam import FIELDS, read_breezyslam
 from slam.logs.importers.carmen import KINDS, read_carmen
 from slam.logs.importers.g2o_scans import read_g2o_scans
 from slam.logs.importers.imported import ImportedLog, StreamedLog
 from slam.logs.importers.rosbag import read_rosbag
 from slam.logs.importers.text_lines import lines
+from slam.logs.importers.wishes import Wishes
 from slam.logs.mcap_file import MAGIC
+from slam.logs.mcap_open import is_ours
 
 SUPPORTED = (
     "CARMEN (.clf, .log) and BreezySLAM (.dat) logs, plain or gzipped, ROS 1 bags, ROS 2 bags "
@@ -22,30 +26,43 @@ SUPPORTED = (
 )
 
 _LINES_LOOKED_AT = 2000  # CARMEN logs may begin with hundreds of PARAM lines or comments
-_BAG_MAGICS = (b"#ROSBAG V", b"SQLite format 3\0")
-_ROS_PROFILES = (b"ros2", b"ros1")
-_PROFILE_AT = len(MAGIC) + 9  # behind the opcode and length of the header record
+_OURS = "{}: is an MCAP log already: use it with `slam replay`"
+_NO_WISHES = Wishes()
 
 
-def read_any(path: Path | str) -> ImportedLog | StreamedLog:
+def read_any(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog | StreamedLog:
     """Read a foreign log of any kind that is supported.
 
     Raises:
-        LogError: if the file cannot be read, is of no such kind, or is our own already.
+        LogError: if the file cannot be read, is of no such kind, is our own already, or
+            cannot be read without an answer in `wishes`.
     """
     path = Path(path)
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        return read_rosbag(path)
     start = _start_of(path)
-    if start.startswith(_BAG_MAGICS):
-        return read_rosbag(path)
     if start.startswith(MAGIC[:6]):
-        if start[_PROFILE_AT + 4 : _PROFILE_AT + 8] in _ROS_PROFILES:
-            return read_rosbag(path)
-        raise LogError(f"{path}: is an MCAP log already: use it with `slam replay`")
-    if start.startswith(g2o_scans.ZIP_MAGIC):
-        return read_g2o_scans(path)
-    return _read_text(path)
+        _require_foreign(path)
+    elif not is_bag(path, start):
+        if asked := wishes.for_bags_only():
+            raise LogError(f"{path}: is no ROS recording: leave {' and '.join(asked)} out")
+        if start.startswith(g2o_scans.ZIP_MAGIC):
+            return read_g2o_scans(path)
+        return _read_text(path, wishes)
+    return read_rosbag(path, wishes)
+
+
+def _require_foreign(path: Path) -> None:
+    """Refuse an MCAP file that is a log already, or holds nothing of ROS."""
+    with open_mcap(path) as log:
+        if "schema_version" in log.metadata().get("run", {}):
+            raise LogError(_OURS.format(path))
+        if not log.has_summary:
+            for _ in log.raw_messages():
+                pass
+        described = [log.described(number) for number in log.channel_ids()]
+    found = [(c.topic, s.name if s else "") for c, s in filter(None, described)]
+    if any(is_ours(*channel) for channel in found):
+        raise LogError(_OURS.format(path))
+    require_ros(path, [channel_of(*both) for both in filter(None, described)])
 
 
 def _start_of(path: Path) -> bytes:
@@ -57,7 +74,7 @@ def _start_of(path: Path) -> bytes:
         return b""
 
 
-def _read_text(path: Path) -> ImportedLog:
+def _read_text(path: Path, wishes: Wishes) -> ImportedLog:
     for line in islice(lines(path, Counter()), _LINES_LOOKED_AT):
         fields = line.split(maxsplit=FIELDS)
         if not fields or fields[0].startswith(b"#"):

@@ -20,6 +20,8 @@ class ImportedLog:
     changed: Counter[str] = field(default_factory=Counter)  # kept, but reordered or repaired
     ignored: Counter[str] = field(default_factory=Counter)  # sound, but no use for them here
     receipts_ns: Sequence[int] = ()  # one a message, where the log has times of receipt
+    notes: list[str] = field(default_factory=list)  # what was chosen
+    warnings: list[str] = field(default_factory=list)  # what of it was a guess
 
     def received(self) -> Iterator[tuple[SensorMessage, int | None]]:
         """Yield each message with its time of receipt, None where that is unknown."""
@@ -38,6 +40,8 @@ class StreamedLog:
     skipped: Counter[str]
     changed: Counter[str]
     ignored: Counter[str]
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
     def received(self) -> Iterator[tuple[SensorMessage, int]]:
         """Yield each message with its time of receipt."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -43,26 +44,81 @@ def import_(
     file: Annotated[
         Path,
         typer.Argument(
-            help="CARMEN (.clf, .log) or BreezySLAM (.dat) log, ROS 1 bag, ROS 2 bag (folder, "
-            ".mcap, .db3), or g2o graph with ROBOTLASER1 lines; texts may be gzipped.",
+            help="ROS 1 bag, ROS 2 bag (folder, .mcap, .db3), log of CARMEN (.clf, .log), "
+            "BreezySLAM (.dat) or ARIA (.2d), YDLidar text, or g2o graph with ROBOTLASER1 lines; "
+            "texts may be gzipped.",
             readable=False,
         ),
     ],
     out: Annotated[Path, typer.Option(help="Log to write (.mcap).")],
+    scan: Annotated[str, typer.Option(help="Topic of the scans, in a ROS recording.")] = "",
+    odom: Annotated[
+        str,
+        typer.Option(
+            help="Topic of the odometry, a link of /tf as `odom>base_link`, or `none`.",
+        ),
+    ] = "",
+    base: Annotated[str, typer.Option(help="Frame of the robot's base.")] = "",
+    mount: Annotated[
+        str,
+        typer.Option(
+            help="Where the laser sits on the base: x,y,theta in m, m and rad, or with a unit: "
+            "`0.2,0,90deg`.",
+        ),
+    ] = "",
+    use_receipt_time: Annotated[
+        bool,
+        typer.Option(
+            "--use-receipt-time", help="Go by the times of receipt where stamps are wrong."
+        ),
+    ] = False,
+    from_: Annotated[
+        float, typer.Option("--from", min=0, help="Leave out what is earlier (s from the start).")
+    ] = 0.0,
+    to: Annotated[
+        float, typer.Option(min=0, help="Leave out what is later (s from the start); 0: nothing.")
+    ] = 0.0,
+    drive: Annotated[
+        int, typer.Option(min=0, help="Which drive, from 1, where the recording holds several.")
+    ] = 0,
+    fov: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            max=360,
+            help="Field of view of the laser in degrees, where the format does not state it.",
+        ),
+    ] = 0.0,
 ) -> None:
     """Turn a foreign log into an MCAP log; what is repaired or skipped is counted.
 
-    ROS bags need the extra `ros`; their times of receipt are kept.
+    ROS bags need the extra `ros`; their times of receipt are kept.  `slam info` shows the
+    topics and frames of a recording.  A choice that had to be guessed ends with exit code 3.
     """
+    from slam.logs.importers.wishes import Wishes, parse_mount
     from slam.tools.imports import import_log
 
-    report = import_log(file, out)
+    try:
+        place = parse_mount(mount) if mount else None
+    except ValueError as error:
+        raise typer.BadParameter(f"--mount {error}") from error
+    wishes = Wishes(
+        scan=scan, odometry=odom, base=base, mount=place, receipt_time=use_receipt_time,
+        start_s=from_, end_s=to or math.inf, drive=drive, view_deg=fov,
+    )  # fmt: skip
+    report = import_log(file, out, wishes)
     say(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
+    if report.notes:
+        say(f"  {', '.join(report.notes)}")
     for cause, count in report.changed.items():
         say(f"  repaired: {count} {cause}")
     for cause, count in report.ignored.items():
         say(f"  left out: {count} {cause}")
+    for warning in report.warnings:
+        say(f"  warning: {warning}")
     exit_on_loss(report.skipped, "skipped")
+    if report.warnings:
+        raise typer.Exit(LOSS)
 
 
 def info(log: LogArgument) -> None:

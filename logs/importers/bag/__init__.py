@@ -1,0 +1,1 @@
+"""ROS recordings: containers, types, inventory, and the choice of what to read."""
