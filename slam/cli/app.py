@@ -115,12 +115,18 @@ def report(
     runs: Annotated[list[Path], typer.Argument(help="RUN directories.", show_default=False)],
     truth: TruthOption = None,
     out: Annotated[
-        Path | None, typer.Option(help="Page to write; report.json goes beside it.")
+        Path | None,
+        typer.Option(
+            help="Page to write, its figures beside it as .json; needed for several runs.",
+            show_default="report.html in RUN",
+        ),
     ] = None,
 ) -> None:
     """Judge runs by their truth: report.html for people, report.json for programs."""
     from slam.evaluation.report.write import write_report
 
+    if out is None and len(runs) > 1:
+        raise typer.BadParameter("several runs need --out PAGE, such as --out compared.html")
     page = out or runs[0] / "report.html"
     reports = write_report(runs, truth, page)
     for found in reports:
@@ -204,7 +210,7 @@ def _tell_summary(out: Path, summary: dict[str, Any]) -> None:
 
 def _tell_figures(figures: dict[str, Any]) -> None:
     relations = figures.get("relations")
-    if relations:
+    if relations and relations["n"]:
         typer.echo(
             f"{figures['name']}: relations {relations['trans_mean_m']:.4f} +- "
             f"{relations['trans_std_m']:.4f} m, {relations['rot_mean_deg']:.3f} +- "

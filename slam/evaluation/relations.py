@@ -40,6 +40,7 @@ class RelationErrors:
     rot_deg: NDArray[np.float64]  # (m,) absolute rotational error
     at_ns: Stamps  # (m,) the later time of the relation
     missing: int  # relations without a pose near one of their times
+    rows: NDArray[np.intp]  # (m,) which of the relations these are
 
     def summary(self) -> dict[str, float | int | None]:
         """Return the figures under the names of `report.json`; None where there is nothing."""
@@ -112,6 +113,7 @@ def relation_errors(
         rot_deg=np.degrees(np.abs(error[:, 2])),
         at_ns=np.maximum(relations.first_ns, relations.second_ns)[found],
         missing=int(np.count_nonzero(~found)),
+        rows=np.flatnonzero(found),
     )
 
 

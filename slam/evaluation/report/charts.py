@@ -3,101 +3,145 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-from markupsafe import Markup
 from scipy.stats import chi2
 
-from slam.evaluation.report.compare import Group
 from slam.evaluation.report.evaluate import RunReport
-from slam.evaluation.report.rows import bar_chart, strip_chart
-from slam.evaluation.report.svg import Curve, histogram, line_chart
+from slam.evaluation.report.page_data import Values, column, shown_rows
 
-Chart = tuple[str, Markup]  # title and drawing; an empty drawing is left out
-
-# What the bars of a comparison show, of the first kind that is known: title, path, unit.
-_ERRORS = (
-    ("Final pose error", "final_pose_error_m", "m"),
-    ("Mean error of relations", "relations.trans_mean_m", "m"),
-    ("ATE", "ate_rmse_m", "m"),
-)
-_COSTS = (
-    ("Time spent on matching", "timing.stages_s.matching", "s"),
-    ("Matches", "matches", ""),
-)
+_BINS = 40  # of a histogram
+_DIGITS = 4  # decimals of what is drawn: a tenth of a millimetre
 
 
-def charts(report: RunReport) -> list[Chart]:
-    """Return the charts of one run."""
-    return [
-        *_relation_charts(report),
-        *_error_charts(report),
-        *_sigma_charts(report),
-        *_keyframe_charts(report),
+@dataclass(frozen=True, eq=False, slots=True)
+class Curve:
+    """One line of a chart; `style` names a colour of the style sheet."""
+
+    name: str
+    style: str  # "a", "b", "c"
+    y: Values | str  # or the name of a column of the path
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Chart:
+    """Curves over common values of x; the page's script draws it."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x: Values | str
+    curves: Sequence[Curve]
+    kind: Literal["line", "bars", "events"] = "line"
+
+    def for_page(self) -> dict[str, Any]:
+        """Return it as JSON; events have a row for each curve."""
+        n = 0 if isinstance(self.x, str) else len(self.x)
+        rows = shown_rows(n)
+        return {
+            "title": self.title,
+            "kind": self.kind,
+            "x_label": self.x_label,
+            "y_label": self.y_label,
+            "x": _values(self.x, rows),
+            "curves": [
+                {"name": c.name, "style": c.style, "y": _values(c.y, rows)} for c in self.curves
+            ],
+        }
+
+
+def charts(report: RunReport, path: Mapping[str, Any]) -> list[tuple[str, list[Chart]]]:
+    """Return the charts of one run, whose `path` has these columns, under their headings."""
+    groups = [
+        ("Pose over time", _pose_charts(path)),
+        ("Accuracy", _relation_charts(report) + _error_charts(report)),
+        ("Covariances", _sigma_charts(report)),
+        ("Keyframes", _keyframe_charts(report)),
     ]
+    return [(heading, made) for heading, made in groups if made]
 
 
-def comparison_charts(groups: Sequence[Group]) -> list[Chart]:
-    """Return bars of error and cost, as in the paper's Figure 7, with 95 % intervals."""
-    known = [e for e in _ERRORS if any(e[1] in g.values for g in groups)][:1]
-    made = []
-    for title, key, unit in (*known, *_COSTS):
-        intervals = [g.values.get(key) for g in groups]
-        values = np.array([i.mean if i else math.nan for i in intervals])
-        halves = np.array([i.half if i else math.nan for i in intervals])
-        label = f"{title.lower()} [{unit}]" if unit else title.lower()
-        made.append((title, bar_chart([g.label for g in groups], values, halves, label)))
-    return made
+def _values(values: Values | str, rows: Any) -> Any:
+    return values if isinstance(values, str) else column(values[rows], _DIGITS)
+
+
+def _pose_charts(path: Mapping[str, Any]) -> list[Chart]:
+    """x, y and heading beside odometry and truth, as far as they are known."""
+    sources = (("SLAM", "a", ""), ("odometry", "b", "odometry_"), ("truth", "c", "truth_"))
+    return [
+        Chart(
+            f"{title} over time",
+            "time [s]",
+            label,
+            "t",
+            [Curve(n, style, before + key) for n, style, before in sources if before + key in path],
+        )
+        for title, label, key in (
+            ("x", "x [m]", "x"), ("y", "y [m]", "y"), ("Heading", "heading [°]", "heading"),
+        )
+    ]  # fmt: skip
 
 
 def _relation_charts(report: RunReport) -> list[Chart]:
-    if report.relations is None:
+    found = report.relations
+    if found is None or not len(found.trans_m):
         return []
-    start = report.run.trajectory.stamps_ns[0]
-    at_s = (report.relations.at_ns - start) / 1e9
+    at_s = (found.at_ns - report.run.trajectory.stamps_ns[0]) / 1e9
     order = np.argsort(at_s, kind="stable")
-    curve = Curve("error", "a", at_s[order], report.relations.trans_m[order])
-    trans, rot = report.relations.trans_m, report.relations.rot_deg
+    curve = Curve("error", "a", found.trans_m[order])
+    label = "error of a relation"
     return [
-        ("Relations: translational error", histogram(trans, "error of a relation [m]")),
-        ("Relations: rotational error", histogram(rot, "error of a relation [°]")),
-        ("Relations over time", line_chart([curve], "time [s]", "error of a relation [m]")),
+        _histogram("Relations: translational error", f"{label} [m]", found.trans_m),
+        _histogram("Relations: rotational error", f"{label} [°]", found.rot_deg),
+        Chart("Relations over time", "time [s]", f"{label} [m]", at_s[order], [curve]),
     ]
+
+
+def _histogram(title: str, label: str, values: Values) -> Chart:
+    """Counts up to the 99th percentile; what lies beyond is counted in the label."""
+    end = float(np.percentile(values, 99.0)) or 1e-9
+    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, end))
+    beyond = int(np.count_nonzero(values > end))
+    label = f"{label}   ({beyond} beyond, up to {values.max():.3g})" if beyond else label
+    middles = (edges[:-1] + edges[1:]) / 2.0
+    curve = Curve("count", "b", counts.astype(np.float64))
+    return Chart(title, label, "count", middles, [curve], "bars")
 
 
 def _error_charts(report: RunReport) -> list[Chart]:
     errors = report.errors
     if errors is None or len(errors.trans_m) < 2:
         return []
-    by_time = Curve("position", "a", errors.at_s, errors.trans_m)
-    by_path = Curve("position", "a", errors.at_m, errors.trans_m)
-    heading = Curve("heading", "b", errors.at_m, errors.rot_deg)
+    position = [Curve("position", "a", errors.trans_m)]
+    heading = [Curve("heading", "b", errors.rot_deg)]
+    at_m, label = errors.at_m, "travelled [m]"
     return [
-        ("Position error over time", line_chart([by_time], "time [s]", "error [m]")),
-        ("Position error over distance", line_chart([by_path], "travelled [m]", "error [m]")),
-        ("Heading error over distance", line_chart([heading], "travelled [m]", "error [°]")),
+        Chart("Position error over time", "time [s]", "error [m]", errors.at_s, position),
+        Chart("Position error over distance", label, "error [m]", at_m, position),
+        Chart("Heading error over distance", label, "error [°]", at_m, heading),
     ]
 
 
 def _sigma_charts(report: RunReport) -> list[Chart]:
     if report.sigmas is None:
         return []
-    at, made = report.sigmas.at_m, []
+    at, label, made = report.sigmas.at_m, "travelled [m]", []
     for k, (axis, unit, scale) in enumerate(
         (("x", "m", 1.0), ("y", "m", 1.0), ("θ", "°", 180 / math.pi))
     ):
-        error = Curve("error", "a", at, np.abs(report.sigmas.errors[:, k]) * scale)
-        sigma = Curve("2 sigma claimed", "b", at, 2.0 * report.sigmas.sigmas[:, k] * scale)
-        chart = line_chart([error, sigma], "travelled [m]", f"|error in {axis}| [{unit}]")
-        made.append((f"Error and claimed sigma, {axis} of the base", chart))
-    ends = np.array([at.min(), at.max()])
+        error = Curve("error", "a", np.abs(report.sigmas.errors[:, k]) * scale)
+        sigma = Curve("2 sigma claimed", "b", 2.0 * report.sigmas.sigmas[:, k] * scale)
+        title = f"Error and claimed sigma, {axis} of the base"
+        made.append(Chart(title, label, f"|error in {axis}| [{unit}]", at, [error, sigma]))
     band = [
-        Curve(f"{share:.1%} of honest ones", "c", ends, np.full(2, chi2.ppf(share, 3)))
+        Curve(f"{share:.1%} of honest ones", "c", np.full(len(at), chi2.ppf(share, 3)))
         for share in (0.025, 0.975)
     ]
-    nees = Curve("NEES", "a", at, report.sigmas.nees)
-    made.append(("NEES with chi-square band", line_chart([nees, *band], "travelled [m]", "NEES")))
+    nees = Curve("NEES", "a", report.sigmas.nees)
+    made.append(Chart("NEES with chi-square band", label, "NEES", at, [nees, *band]))
     return made
 
 
@@ -107,20 +151,22 @@ def _keyframe_charts(report: RunReport) -> list[Chart]:
         return []
     travelled = np.cumsum([d.travelled_m for d in decisions])
     columns = np.array([(d.travelled_m, d.interval_m, d.t_pe) for d in decisions])
-    between = Curve("travelled", "a", travelled[1:], columns[1:, 0])
-    chosen = Curve("chosen", "b", travelled[1:], columns[1:, 1])
-    complexity = Curve("T_PE", "c", travelled, columns[:, 2])
-    causes = [d.reason + (f", {d.axis}" if d.axis else "") for d in decisions]
-    rows = [(cause, travelled[[c == cause for c in causes]]) for cause in sorted(set(causes[1:]))]
+    columns[0, :2] = math.nan  # before the first there is no interval
     unit = report.run.records.config.get("keyframes", {}).get("unit", "metres")
     if unit == "scans":
-        between = Curve("taken", "a", travelled[1:], np.diff([d.scan_index for d in decisions]))
+        columns[1:, 0] = np.diff([d.scan_index for d in decisions])
+    taken = Curve("taken" if unit == "scans" else "travelled", "a", columns[:, 0])
+    chosen = Curve("chosen", "b", columns[:, 1])
     label = "interval [m]" if unit == "metres" else f"interval [{unit}]"
-    return [
-        ("Keyframe interval along the path", line_chart([between, chosen], "travelled [m]", label)),
-        ("T_PE along the path", line_chart([complexity], "travelled [m]", "T_PE")),
-        (
-            "Why keyframes were taken, and the deciding axis",
-            strip_chart(rows, float(travelled[-1]), "travelled [m]"),
-        ),
+    x_label = "travelled [m]"
+    made = [Chart("Keyframe interval along the path", x_label, label, travelled, [taken, chosen])]
+    if np.isfinite(columns[:, 2]).any():
+        complexity = [Curve("T_PE", "c", columns[:, 2])]
+        made.append(Chart("T_PE along the path", x_label, "T_PE", travelled, complexity))
+    causes = np.array([d.reason + (f", {d.axis}" if d.axis else "") for d in decisions])
+    rows = [
+        Curve(cause, "b", np.where(causes == cause, float(k), math.nan))
+        for k, cause in enumerate(sorted(set(causes[1:].tolist())))
     ]
+    title = "Why keyframes were taken, and the deciding axis"
+    return [*made, Chart(title, x_label, "", travelled, rows, "events")]

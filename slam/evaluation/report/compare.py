@@ -31,6 +31,17 @@ COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("\N{MULTIPLICATION SIGN} real time", "timing.realtime_factor", 1),
 )
 
+# What the bars of a comparison show, of the first kind of error that is known: title, path, unit.
+_ERRORS = (
+    ("Final pose error", "final_pose_error_m", "m"),
+    ("Mean error of relations", "relations.trans_mean_m", "m"),
+    ("ATE", "ate_rmse_m", "m"),
+)
+_COSTS = (
+    ("Time spent on matching", "timing.stages_s.matching", "s"),
+    ("Matches", "matches", ""),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Interval:
@@ -92,6 +103,33 @@ def mean_interval(values: Sequence[float]) -> Interval:
         return Interval(n, float(known[0]), math.nan)
     half = student_t.ppf(0.975, n - 1) * known.std(ddof=1) / math.sqrt(n)
     return Interval(n, float(known.mean()), float(half))
+
+
+def bars(groups: Sequence[Group]) -> list[dict[str, Any]]:
+    """Return bars of error and cost, as in the paper's Figure 7, with 95 % intervals.
+
+    Lengths are in percent of the longest; `low` and `high` are None where no interval is known.
+    """
+    known = [e for e in _ERRORS if any(e[1] in g.values for g in groups)][:1]
+    made = []
+    for title, key, unit in (*known, *_COSTS):
+        rows = [(g.label, g.values[key]) for g in groups if key in g.values]
+        reach = [i.mean + (i.half if i.n > 1 else 0.0) for _, i in rows]
+        if not rows or max(reach) <= 0.0:
+            continue
+        scale = 100.0 / max(reach)
+        drawn = [
+            {
+                "label": label,
+                "interval": i,
+                "width": i.mean * scale,
+                "low": max(i.mean - i.half, 0.0) * scale if i.n > 1 else None,
+                "high": (i.mean + i.half) * scale if i.n > 1 else None,
+            }
+            for label, i in rows
+        ]
+        made.append({"title": title, "unit": unit, "rows": drawn})
+    return made
 
 
 def groups_json(groups: Sequence[Group], runs: Sequence[Run]) -> list[dict[str, Any]]:

@@ -28,7 +28,16 @@ from slam.evaluation.report.consistency import consistency
 from slam.evaluation.report.credibility import credibility_figures
 from slam.evaluation.report.read_run import Run, read_run
 from slam.evaluation.report.truth import Truth, find_clock_offset, read_truth, sample
-from slam.logs.trajectory import NS, Poses, Trajectory, between, compose, path_length, wrap
+from slam.logs.trajectory import (
+    NS,
+    Poses,
+    Stamps,
+    Trajectory,
+    between,
+    compose,
+    path_length,
+    wrap,
+)
 
 RPE_LENGTHS_M = (1.0, 5.0, 10.0, 50.0)
 
@@ -47,6 +56,8 @@ SURVEY_SLACK_S = 2.0
 class PoseErrors:
     """Errors along the run, against a trajectory or survey that was aligned to the map."""
 
+    rows: NDArray[np.intp]  # (n,) of the run's trajectory: the pose that each belongs to
+    stamps_ns: Stamps  # (n,)
     at_s: NDArray[np.float64]  # (n,) since the run's first pose
     at_m: NDArray[np.float64]  # (n,) travelled by the run until then
     trans_m: NDArray[np.float64]
@@ -129,6 +140,7 @@ def _run_figures(run: Run, truth: Truth | None) -> dict[str, Any]:
             "poses": len(run.trajectory),
         }
         | {key: _clean(run.summary.get(key)) for key in keys}
+        | {"pruned": _clean(run.summary.get("pruned", run.summary.get("thinned_out")))}
         | dict.fromkeys(_TRUTH_KEYS)
     )
 
@@ -206,6 +218,8 @@ def _pose_errors(trajectory: Trajectory, pairs: Association) -> PoseErrors:
     errors = absolute_errors(pairs, truth_T_map)
     rows, _ = nearest_rows(trajectory.stamps_ns, pairs.estimate.stamps_ns, 0.0)
     return PoseErrors(
+        rows=rows,
+        stamps_ns=pairs.estimate.stamps_ns,
         at_s=(pairs.estimate.stamps_ns - trajectory.stamps_ns[0]) / NS,
         at_m=path_length(trajectory.poses)[rows],
         trans_m=errors.trans_m,

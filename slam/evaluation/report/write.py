@@ -9,6 +9,7 @@ from pathlib import Path
 from slam.evaluation.report.compare import group_runs, groups_json
 from slam.evaluation.report.evaluate import RunReport, evaluate_run
 from slam.evaluation.report.html import render
+from slam.evaluation.report.paired import compare_with_first, paired_json
 from slam.evaluation.report.read_run import read_run
 from slam.evaluation.report.truth import read_truth
 from slam.logs.atomic_write import atomic_write
@@ -30,13 +31,16 @@ def write_report(
     known = read_truth(truth) if truth else None
     reports = tuple(evaluate_run(read_run(path), known) for path in run_dirs)
     runs, all_figures = [r.run for r in reports], [r.figures for r in reports]
+    groups, pairs = group_runs(runs, all_figures), compare_with_first(reports)
     document = {
         "schema_version": SCHEMA_VERSION,
         "runs": all_figures,
-        "groups": groups_json(group_runs(runs, all_figures), runs),
+        "groups": groups_json(groups, runs),
+        "paired": paired_json(pairs),
     }
     figures = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    for path, text in ((out_html, render(reports)), (out_html.with_suffix(".json"), figures)):
+    page = render(reports, groups, pairs)
+    for path, text in ((out_html, page), (out_html.with_suffix(".json"), figures)):
         try:
             atomic_write(path, text)
         except OSError as error:

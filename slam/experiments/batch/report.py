@@ -75,6 +75,8 @@ def comparison_html(rows: Sequence[Row], grid: Grid) -> str:
     labelled = [(labels[k % len(labels)], row) for k, row in enumerate(rows)]
     shown = [column for column in _SHOWN if any(row[column[1]] for row in rows)]
     return page_template("batch.html.j2").render(
+        scripts=(),
+        styles=("page.css",),
         version=version(),
         logs=len(rows) // len(labels),
         settings=compare(rows, grid),

@@ -427,6 +427,21 @@ def test_a_report_of_two_runs(twice, tmp_path):
     assert page.read_text().startswith("<!")
 
 
+def test_a_report_of_several_runs_overwrites_none_of_theirs(twice):
+    done = slam("report", *twice)
+    assert done.returncode == 2
+    assert "several runs need --out PAGE" in done.stderr
+    assert not (twice[0] / "report.html").exists()
+
+
+def test_relations_of_another_drive_are_a_note(twice, tmp_path):
+    relations = tmp_path / "other.relations"
+    relations.write_text("1.0 2.0 0 0 0 0 0 0\n")
+    done = slam("report", twice[0], "--truth", relations, "--out", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    assert "is this its truth?" in done.stderr + done.stdout
+
+
 def test_info_says_what_a_log_holds(inputs):
     done = slam("info", inputs / "good.mcap")
     assert done.returncode == 0

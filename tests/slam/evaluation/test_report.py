@@ -1,9 +1,11 @@
 """Reports on runs made by hand: the numbers, the page, and what is said when parts are missing."""
 
+import base64
 import html.parser
 import json
 import math
 import re
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +20,12 @@ from slam.logs.messages import (
     PoseEstimate,
     TruePose,
 )
-from slam.logs.trajectory import NS, Trajectory, compose, path_length, write_tum
+from slam.logs.trajectory import NS, Trajectory, between, compose, path_length, write_tum
 
 import slam.evaluation.report
 from slam.evaluation.report.evaluate import evaluate
-from slam.evaluation.report.page import format_number
+from slam.evaluation.report.html import SCRIPTS
+from slam.evaluation.report.page import asset, format_number
 from slam.evaluation.report.truth import find_clock_offset, read_truth
 from slam.evaluation.report.write import write_report
 from slam.maps.nav2_map import write_nav2_map
@@ -155,17 +158,52 @@ def write_records(log, truth, estimate, rows, truth_in_log) -> None:
 
 
 class Page(html.parser.HTMLParser):
-    """Collects what a page refers to."""
+    """Collects what a page refers to, what it runs and draws, and its text without scripts."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.tags: list[str] = []
         self.references: list[str] = []
+        self.scripts: list[str] = []
+        self.charts: list[tuple[int, int]] = []
+        self.shown = ""
+        self.data: dict = {}
+        self._inside = ""
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self.references += [v for k, v in attrs if k in ("href", "src", "xlink:href")]
+        values = dict(attrs)
+        self._inside = values.get("type", tag) if tag in ("script", "style") else ""
+        if self._inside == "script":
+            self.scripts.append("")
+        if "data-chart" in values:
+            self.charts.append((int(values["data-run"]), int(values["data-chart"])))
+
+    def handle_endtag(self, tag):
+        self._inside = ""
+
+    def handle_data(self, data):
+        if self._inside == "script":
+            self.scripts[-1] += data
+        elif self._inside == "application/octet-stream":
+            self.data = json.loads(zlib.decompress(base64.b64decode(data)), parse_constant=fail)
+        elif self._inside != "style":
+            self.shown += data
+
+
+def fail(constant: str):
+    raise AssertionError(f"{constant} is not JSON")
+
+
+def decoded(packed: dict) -> np.ndarray:
+    """Values of a column of the page, as its scripts decode it."""
+    found, total = [], 0
+    for step in packed["steps"]:
+        total += step or 0
+        found.append(math.nan if step is None else total / packed["scale"])
+    return np.array(found)
 
 
 @pytest.fixture(scope="module")
@@ -266,16 +304,18 @@ def test_one_page_and_one_json(run, tmp_path, truth):
     reports = write_report([run, tmp_path / "second"], None, out)
     text = out.read_text()
     page = Page(text)
-    assert all(reference.startswith("data:image/png;base64,") for reference in page.references)
-    assert not re.findall(r"(?:src|href|url)\s*[=(]\s*[\"']?(?:https?:)?//", text)
-    assert page.tags.count("script") == 1
+    assert all(reference.startswith("#") for reference in page.references)
+    own = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert not re.findall(r"(?:src|href|url)\s*[=(]\s*[\"']?(?:https?:)?//", own)
+    assert page.scripts == [asset(name) for name in SCRIPTS]
     assert HOSTILE not in text
     assert text.count("&lt;script&gt;") >= 2
-    assert page.tags.count("svg") >= 2 * 8
+    assert len(page.charts) >= 2 * 8
+    assert page.tags.count("nav") == 1
     assert "Means ± 95 % interval, by settings" in text
+    assert "Errors pair by pair" not in text, "two drives have nothing to pair"
     assert "Final pose error" in text
-    shown = re.sub(r"base64,[^\"]+|<script>.*</script>", "", text, flags=re.DOTALL)
-    assert not re.search(r"\b(nan|inf|None)\b", shown)
+    assert not re.search(r"\b(nan|inf|None|undefined)\b", page.shown)
     document = checked_json(tmp_path / "report.json")
     (group,) = document["groups"]
     assert (group["label"], group["runs"]) == ("all runs", ["run", "second"])
@@ -285,6 +325,81 @@ def test_one_page_and_one_json(run, tmp_path, truth):
     assert [r["name"] for r in document["runs"]] == ["run", "second"]
     assert document["runs"][0]["timing"]["match_us_median"] is None
     assert document["runs"][0]["ate_rmse_m"] == reports[0].figures["ate_rmse_m"]
+
+
+def test_the_page_carries_what_the_figures_say(run, tmp_path, truth):
+    (report,) = write_report([run], None, tmp_path / "r.html")
+    (drawn,) = Page((tmp_path / "r.html").read_text()).data["runs"]
+    path = {name: decoded(values) for name, values in drawn["path"].items()}
+    assert path["t"][-1] == pytest.approx(report.figures["duration_s"], abs=1e-3)
+    assert path["error"].max() == pytest.approx(report.figures["ate_max_m"], abs=1e-4)
+    assert np.sqrt(np.mean(path["error"] ** 2)) == pytest.approx(
+        report.figures["ate_rmse_m"], abs=1e-4
+    )
+    estimate = report.run.trajectory.poses
+    assert np.column_stack([path["x"], path["y"]]) == pytest.approx(estimate[:, :2], abs=1e-3)
+    off = np.hypot(path["truth_x"] - path["x"], path["truth_y"] - path["y"])
+    assert off == pytest.approx(path["error"], abs=2e-3)
+    assert np.abs(path["truth_heading"] - path["heading"]).max() < 90.0, "in the same turn"
+    assert (path["odometry_x"][0], path["odometry_y"][0]) == (path["x"][0], path["y"][0])
+    assert path["sigma"][99] == pytest.approx(math.sqrt(2e-6 * 100), abs=1e-4)
+    assert path["speed"][600] == pytest.approx(
+        np.hypot(*(estimate[605, :2] - estimate[595, :2])), abs=0.01
+    )
+    assert len(drawn["keyframes"]["t"]["steps"]) == report.figures["keyframes"]
+
+
+def test_a_closure_is_drawn_where_it_was_measured(run, tmp_path):
+    write_report([run], None, tmp_path / "r.html")
+    (drawn,) = Page((tmp_path / "r.html").read_text()).data["runs"]
+    closures = drawn["closures"]
+    old, new = decoded(closures["old"]), decoded(closures["new"])
+    assert (old.tolist(), new.tolist()) == ([3.0, 4.0], [98.0, 98.0])
+    assert closures["accepted"] == [1, 0]
+    assert closures["measured"] == [1, 0], "the rejected one has left no factor"
+    assert (decoded(closures["x"])[0], decoded(closures["y"])[0]) == (0.05, 0.02)
+    keyframes = {name: decoded(drawn["keyframes"][name]) for name in ("x", "y", "heading")}
+    poses = np.column_stack([keyframes["x"], keyframes["y"], np.radians(keyframes["heading"])])
+    in_graph = between(poses[4], poses[98])
+    assert decoded(closures["x"])[1] == pytest.approx(in_graph[0], abs=2e-3)
+    residual = np.hypot(*(between(poses[3], poses[98])[:2] - [0.05, 0.02]))
+    assert decoded(closures["off_m"])[0] == pytest.approx(residual, abs=3e-3)
+    assert math.isnan(decoded(closures["off_m"])[1])
+    assert closures["reasons"][closures["reason"][1]] == HOSTILE
+    assert set(closures["scans"]) == {"3", "4", "98"}
+    scan = closures["scans"]["3"]
+    assert (scan["first"], scan["step"], len(scan["ranges"]["steps"])) == (-180.0, 3.0, 120)
+
+
+def test_runs_of_one_log_are_compared_pair_by_pair(run, tmp_path, truth):
+    make_run(tmp_path / "worse", truth, seed=9)
+    write_tum(tmp_path / "truth.tum", truth)
+    runs = [run, tmp_path / "worse", run]
+    reports = write_report(runs, tmp_path / "truth.tum", tmp_path / "r.html")
+    worse, same = checked_json(tmp_path / "r.json")["paired"]
+    errors = [report.errors.trans_m for report in reports]
+    assert (worse["run"], worse["against"], worse["n"]) == ("worse", "run", 1200)
+    assert worse["mean_m"] == pytest.approx(errors[1].mean())
+    assert worse["difference_m"] == pytest.approx((errors[1] - errors[0]).mean())
+    assert worse["smaller_share"] == pytest.approx(np.mean(errors[1] < errors[0]))
+    assert worse["half95_m"] > abs(errors[1] - errors[0]).std() / math.sqrt(1200), "drift lasts"
+    assert (same["difference_m"], same["half95_m"], same["smaller_share"]) == (0.0, 0.0, 0.0)
+    assert "Errors pair by pair" in (tmp_path / "r.html").read_text()
+
+
+def test_keyframes_that_were_pruned_are_read_under_both_names(tmp_path, truth):
+    for name in ("pruned", "thinned_out"):
+        run = bare_run(tmp_path / name, truth)
+        (run / "summary.json").write_text(json.dumps({name: 7}))
+        assert evaluate(run).figures["pruned"] == 7
+
+
+def test_only_the_page_s_own_scripts_may_run(run, tmp_path):
+    write_report([run], None, tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    (policy,) = re.findall(r'script-src ([^"]+)"', text)
+    assert "unsafe" not in policy
+    assert policy.count("sha256-") == len(Page(text).scripts)
 
 
 def test_the_same_runs_give_the_same_page(run, tmp_path):

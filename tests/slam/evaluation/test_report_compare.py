@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from slam.evaluation.report.compare import group_runs, groups_json, mean_interval
-from slam.evaluation.report.rows import bar_chart, strip_chart
+from slam.evaluation.report.compare import (
+    Group,
+    Interval,
+    bars,
+    group_runs,
+    groups_json,
+    mean_interval,
+)
+from slam.evaluation.report.page_data import MOST_POINTS, column, shown_rows
 
 
 def run(name: str, **keyframes):
@@ -51,13 +58,31 @@ def test_the_interval_holds_the_mean_as_often_as_it_says():
 
 
 def test_bars_show_every_name_and_whiskers_only_where_known():
-    names = ["constant 1", "<b>", "a name that is far too long for its place"]
-    drawing = bar_chart(
-        names, np.array([1.0, 2.0, np.nan]), np.array([0.5, np.nan, np.nan]), "error [m]"
-    )
-    assert drawing.count('class="bars"') == 2
-    assert drawing.count('class="whisker"') == 1
-    assert "&lt;b&gt;" in drawing
-    assert bar_chart(names, np.full(3, np.nan), np.full(3, np.nan), "x") == ""
-    assert strip_chart([], 10.0, "x") == ""
-    assert strip_chart([("turn", np.array([0.0, 5.0, 5.0]))], 10.0, "x").count("v14.4") == 2
+    def group(label, mean, half, n):
+        return Group(label, (0,), {"final_pose_error_m": Interval(n, mean, half)})
+
+    groups = [
+        group("constant 1", 1.0, 0.5, 3),
+        group("<b>", 2.0, math.nan, 1),
+        Group("c", (0,), {}),
+    ]
+    (chart,) = bars(groups)
+    assert (chart["title"], chart["unit"]) == ("Final pose error", "m")
+    known, alone = chart["rows"]
+    assert [known["label"], alone["label"]] == ["constant 1", "<b>"]
+    assert (known["width"], known["low"], known["high"]) == (50.0, 25.0, 75.0)
+    assert (alone["width"], alone["low"]) == (100.0, None)
+    assert bars([Group("c", (0,), {})]) == []
+
+
+def test_a_column_comes_back_as_it_was_rounded():
+    values = np.array([1.23456, math.nan, -3.0, -2.99949, math.inf])
+    assert column(values, 3) == {"scale": 1000, "steps": [1235, None, -4235, 1, None]}
+    assert column(np.array([math.nan]), 2) == {"scale": 100, "steps": [None]}
+
+
+def test_a_long_path_is_thinned_but_keeps_what_must_not_miss():
+    rows = shown_rows(3 * MOST_POINTS, np.array([7]))
+    assert len(rows) == MOST_POINTS + 1
+    assert {0, 7, 3 * MOST_POINTS - 1} <= set(rows.tolist())
+    assert shown_rows(5).tolist() == [0, 1, 2, 3, 4]
