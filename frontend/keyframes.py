@@ -91,7 +91,8 @@ class KeyframeConfig(BaseModel):
     @property
     def open(self) -> KeyframeConfig:
         """The settings for a chain of keyframes whose loops are not closed."""
-        return self.model_copy(update={"slack": self.tolerance_open, "widest": self.widest_open})
+        values = {"tolerance": self.tolerance_open, "widest": self.widest_open}
+        return self.model_copy(update=values)
 
     @property
     def foresees(self) -> bool:

@@ -62,9 +62,9 @@ def _raw(topic: str, device: Any, direction: Any) -> Channel:
     return Channel(topic, "", encode, decode)
 
 
-def _own(topic: str, kind: Callable[..., Any]) -> Channel:
-    """Return the channel of a message of plain fields, written under their own names."""
-    name = kind.__name__
+def _own(topic: str, kind: Callable[..., Any], name: str = "") -> Channel:
+    """Return the channel of a message of plain fields, under the schema name that old logs have."""
+    name = name or kind.__name__
     fields = protos.field_names(name)
     cls = protos.CLASSES[name]
 
@@ -78,8 +78,8 @@ def _own(topic: str, kind: Callable[..., Any]) -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
-        if validate_message := _FLAWS.get(name, _no_flaw)(values):
-            raise ValueError(validate_message)
+        if problem := _FLAWS.get(name, _no_flaw)(values):
+            raise ValueError(problem)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
@@ -112,7 +112,7 @@ _ALL = (
     Channel("/map", "Grid", foxglove.encode_map, foxglove.decode_map),
     _own("/keyframe", KeyframeDecision),
     _own("/factor", FactorRecord),
-    _own("/loop", LoopResult),
+    _own("/loop", LoopResult, "LoopVerdict"),
     Channel("/log", "Log", foxglove.encode_log, foxglove.decode_log),
     _own("/diagnostics", DeviceHealth),
     _raw("/raw/p3dx/rx", "p3dx", "rx"),

@@ -38,7 +38,7 @@ class PruningConfig(BaseModel):
         0.5, gt=0, description="m between two views that count as the same, of the robot and "
         "what it looks at together"
     )  # fmt: skip
-    run_inline: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
+    at_once: int = Field(64, ge=1, description="dispensable keyframes that are worth the work")
     share: float = Field(
         0.1, ge=0, le=1, description="the same as a share of all, where that is more"
     )
@@ -130,7 +130,7 @@ class Pruner:
                 self._redundant.append(k)
             self._judged += 1
         return len(self._redundant) >= max(
-            self._config.run_inline, self._config.share * len(keyframes)
+            self._config.at_once, self._config.share * len(keyframes)
         )
 
     def begin(

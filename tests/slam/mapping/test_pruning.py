@@ -188,7 +188,7 @@ def test_without_former_places_the_keyframes_are_all_there_is():
 def redundant(slam, odometry_faulty=(), closures=None):
     """Whether the thinner finds enough dispensable keyframes in a graph that has all."""
     thinner = Pruner(
-        PruningConfig(min_redundancy=2, within_m=0.8, run_inline=12, share=0.0), 8.0, run_inline
+        PruningConfig(min_redundancy=2, within_m=0.8, at_once=12, share=0.0), 8.0, run_inline
     )
     loops = [edge for edge in slam.graph.edges if edge.kind == "loop"]
     thinner.add_closures(loops if closures is None else closures(loops))
