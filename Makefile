@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-slow fuzz lint types format proto clean
+.PHONY: demo test test-slow fuzz lint types docs format proto clean
 
 $(READY): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -40,6 +40,13 @@ types:
 	ln -s $(addprefix ../../,$(wildcard slam/*) drivers frontend backend logs) .types/slam/
 	ln -s ../benchmarks .types/benchmarks
 
+# The documentation as a site; opens from the folder, loads nothing from elsewhere.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[docs]'
+	$(BIN)/python -m slam.cli.config_reference > docs/configuration.md
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "open site/index.html; for its search: $(BIN)/python -m http.server -d site"
+
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -49,4 +56,4 @@ proto: $(READY)
 	$(BIN)/python -m grpc_tools.protoc -I logs --descriptor_set_out=logs/slam.binpb logs/slam.proto
 
 clean:
-	rm -rf $(VENV) .types demo-out bench-out .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .types demo-out bench-out site .pytest_cache .mypy_cache .ruff_cache

@@ -1,6 +1,6 @@
 """ARCOS on the wire: packets and commands of Pioneer robots, in both directions.
 
-Sections are those of DEVICES.md, which names the manuals.  A packet is
+Sections are those of docs/devices.md, which names the sources.  A packet is
 `FA FB count id data checksum`, with count the number of bytes behind it (section 1).
 """
 

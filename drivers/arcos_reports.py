@@ -1,6 +1,6 @@
 """What a Pioneer reports: standard packet, configuration, encoders, identity; both directions.
 
-Sections are those of DEVICES.md.  Units are the robot's own; `drivers.pioneer_decoder`
+Sections are those of docs/devices.md.  Units are the robot's own; `drivers.pioneer_decoder`
 turns them into metres and radians.
 """
 

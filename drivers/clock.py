@@ -20,7 +20,7 @@ class ClockConfig:
     """How the clock of a sensor is followed."""
 
     tick_ns: int = 1_000_000  # ns a count lasts; SCIP counts milliseconds
-    wrap: int = 1 << 24  # counts until it starts again at 0 (DEVICES.md, section 4.3)
+    wrap: int = 1 << 24  # counts until it starts again at 0 (docs/devices.md, section 4.3)
     bin_s: float = 1.0  # s, the quickest of each such span stands for it
     bins: int = 60  # spans remembered: a minute shows 1 ms of jitter as 17 ppm at worst
     settle_s: float = 10.0  # s of device time until the lag is known

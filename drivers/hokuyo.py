@@ -21,7 +21,7 @@ _BAUDS = (19200, 115200, 57600, 38400, 250000, 500000, 750000)  # RS232 models (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HokuyoConfig:
-    """What to ask of the sensor; sections are those of DEVICES.md.
+    """What to ask of the sensor; sections are those of docs/devices.md.
 
     The paper's 181 beams at 1 degree from a UTM-30LX are -90 to 90 degrees in clusters of 4.
     """

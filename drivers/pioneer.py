@@ -40,7 +40,7 @@ _Outcome = Literal["connected", "open", "confused", "silent"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PioneerConfig:
-    """How to talk to the robot; sections are those of DEVICES.md."""
+    """How to talk to the robot; sections are those of docs/devices.md."""
 
     port: str  # device path, or tcp://host:port
     baud: int = 9600  # HostBaud as delivered (section 1.1)

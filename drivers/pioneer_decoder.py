@@ -24,7 +24,7 @@ from slam.drivers.arcos_reports import (
 from slam.drivers.report_cycle import ReportCycle
 from slam.logs.messages import RawBytes, SensorMessage, WheelOdometry
 
-_HALF_WRAP, _WRAP_MASK = 0x4000, 0x7FFF  # counters wrap at 15 bits (DEVICES.md, section 2.1)
+_HALF_WRAP, _WRAP_MASK = 0x4000, 0x7FFF  # counters wrap at 15 bits (docs/devices.md, section 2.1)
 _TURN = 4096  # THPOS units in a turn
 
 

@@ -53,7 +53,7 @@ def open_port(name: str, baud: int = BAUD_DEFAULT) -> Port:
 
 
 class _SerialPort:
-    """8N1 without flow control, locked against other programs (DEVICES.md, section 1.1)."""
+    """8N1 without flow control, locked against other programs (docs/devices.md, section 1.1)."""
 
     has_baud = True
 

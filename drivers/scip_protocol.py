@@ -1,6 +1,6 @@
 """SCIP 2.x on the wire: commands, replies and sums of Hokuyo range finders.
 
-Sections are those of DEVICES.md, which names the manuals.  Everything is ASCII lines; a
+Sections are those of docs/devices.md, which names the sources.  Everything is ASCII lines; a
 reply is the echo of its command, a status, lines with a sum each, and an empty line.
 """
 

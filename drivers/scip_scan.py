@@ -14,7 +14,7 @@ Integers = NDArray[np.int32]
 ScanSymbol = Literal["GD", "GE", "GS", "MD", "ME", "MS"]
 
 SCAN_SYMBOLS: tuple[str, ...] = get_args(ScanSymbol)
-NO_RETURN = 65533  # newer firmware, in some drivers (DEVICES.md, section 4.5)
+NO_RETURN = 65533  # newer firmware, in some drivers (docs/devices.md, section 4.5)
 _TIMESTAMP = 4  # characters
 _PARAMETERS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
 

@@ -1,4 +1,4 @@
-"""What the status codes of SCIP 2.x mean, in words (DEVICES.md, section 4.1)."""
+"""What the status codes of SCIP 2.x mean, in words (docs/devices.md, section 4.1)."""
 
 from __future__ import annotations
 

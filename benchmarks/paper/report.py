@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
+from benchmarks.paper.closest import closest_lines
 from benchmarks.paper.drives import (
     INTERVALS,
     PAPER_COUNTS,
@@ -78,6 +79,8 @@ OPEN = (
 def write_paper_report(rows: Rows, meta: Mapping[str, Any], path: Path) -> None:
     """Write the report as Markdown; the figures lie beside it."""
     lines = ["# The experiment of Section V, repeated", "", *_introduction(meta)]
+    lines += ["", "## The reading closest to the paper", "", "![Figure 7](paper-fig7.png)", ""]
+    lines += closest_lines(meta["closest"])
     for reading in READINGS:
         own = [row for row in rows if row["reading"] == reading]
         compared = [case for case in meta["compared"] if case["reading"] == reading]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slam.drivers.simulators.robot import Track
 
 Array = NDArray[np.float64]
-TRACK_WIDTH_M = 2.0 / 5.6  # effective, by DiffConvFactor 0.0056 (DEVICES.md, section 2.1)
+TRACK_WIDTH_M = 2.0 / 5.6  # effective, by DiffConvFactor 0.0056 (docs/devices.md, section 2.1)
 FaultKind = Literal["sign-flip", "stall", "stuck-encoder", "jump", "slip", "scan-gap"]
 
 # Duration in s and size (m for a jump, rad for a slip) where a fault states none.  A jump

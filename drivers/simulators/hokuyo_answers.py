@@ -1,4 +1,4 @@
-"""What a simulated Hokuyo says of itself, and why it refuses; sections are those of DEVICES.md."""
+"""What a simulated Hokuyo says of itself, and why it refuses (sections: docs/devices.md)."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _STATES = {"idle": "000", "clock": "002", "on": "003", "stream": "004", "asleep"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HokuyoBuild:
-    """Which sensor it is, and what is wrong with it; sections are those of DEVICES.md."""
+    """Which sensor it is, and what is wrong with it; sections are those of docs/devices.md."""
 
     model: str = "utm-30lx"
     serial: str = "H0000001"

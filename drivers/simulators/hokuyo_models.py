@@ -11,7 +11,7 @@ from slam.drivers.scip_scan import SensorParameters
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HokuyoModel:
-    """What a model answers; from captures where there are any (DEVICES.md, sections 4 and 8)."""
+    """What a model answers; from captures where there are any (docs/devices.md, section 8)."""
 
     parameters: SensorParameters
     product: str

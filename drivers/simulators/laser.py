@@ -50,7 +50,7 @@ class LaserConfig:
         return self.angle_min + self.angle_step * np.arange(self.beams, dtype=np.float64)
 
 
-# Ranges and steps after DEVICES.md, section 4.2, unless a comment says otherwise.
+# Ranges and steps after docs/devices.md, section 4.2, unless a comment says otherwise.
 LASERS: Mapping[str, LaserConfig] = MappingProxyType(
     {
         # The paper's: a UTM-30LX read in clusters of four steps, three sweeps of four skipped.

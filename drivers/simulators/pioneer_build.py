@@ -1,4 +1,4 @@
-"""Which P3-DX is simulated, and what it says of itself; sections are those of DEVICES.md."""
+"""Which P3-DX is simulated, and what it says of itself; sections are those of docs/devices.md."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from slam.drivers.arcos_reports import EncoderReport
 from slam.drivers.simulators.faults import TRACK_WIDTH_M
 from slam.drivers.simulators.motion import Motion
 
-_TICKS_PER_M = 128_000.0  # what users set (DEVICES.md, section 3)
+_TICKS_PER_M = 128_000.0  # what users set (docs/devices.md, section 3)
 _GAIN = 2.0  # 1/s, speed per metre or turn rate per rad that are left
 _THERE_M, _THERE_RAD = 0.003, math.radians(0.3)
 

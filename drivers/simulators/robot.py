@@ -86,7 +86,7 @@ class OdometryNoise:
     """How far dead reckoning strays; the scale and drift errors are drawn once a drive.
 
     No controlled figure for the P3-DX is known: 0.75 % is what its vendor's simulator
-    assumes, 3 % and 5 % what Stage does (DEVICES.md, section 3).
+    assumes, 3 % and 5 % what Stage does (docs/devices.md, section 3).
     """
 
     distance_scale: float = 0.015  # m per m, sigma of the scale error (wheel size)

@@ -1,4 +1,4 @@
-"""The sixteen sonars of a P3-DX (DEVICES.md, section 3)."""
+"""The sixteen sonars of a P3-DX (docs/devices.md, section 3)."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class Sweeper:
 
 
 def clustered(distances: Integers, cluster: int) -> Integers:
-    """Join each `cluster` steps into the smallest of their ranges (DEVICES.md, section 4.2).
+    """Join each `cluster` steps into the smallest of their ranges (docs/devices.md, section 4.2).
 
     Codes, which are below any range, count only where no step has a range.
     """

@@ -16,7 +16,7 @@ from slam.drivers.arcos_protocol import (
 SECOND_NS = 1_000_000_000
 
 
-# The worked examples of DEVICES.md, section 1, as seen on the wire.
+# The worked examples of docs/devices.md, section 1, as seen on the wire.
 @pytest.mark.parametrize(
     ("number", "argument", "wire"),
     [

@@ -45,7 +45,7 @@ def device_packets(dialogue, name):
 
 def test_fields_stand_where_the_manual_puts_them():
     payload = encode_standard(FULL)
-    wire = bytes(3) + payload  # offsets of DEVICES.md, section 2, count from the header
+    wire = bytes(3) + payload  # offsets of docs/devices.md, section 2, count from the header
     assert wire[3] == 0x33
     assert wire[4:6] == (-5).to_bytes(2, "little", signed=True)
     assert wire[8:10] == (-694).to_bytes(2, "little", signed=True)

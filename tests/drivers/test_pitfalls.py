@@ -1,4 +1,4 @@
-"""What users and foreign programs have run into (DEVICES.md), where no other test has it."""
+"""What users and foreign programs have run into (docs/devices.md), where no other test has it."""
 
 import numpy as np
 import pytest

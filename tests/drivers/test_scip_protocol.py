@@ -24,7 +24,7 @@ from slam.drivers.scip_status import status_name
 CAPTURES = ["example_utm_30lx", "example_urg_04lx", "example_uxm_30lx_e"]
 
 
-# The specification's own numbers (DEVICES.md, section 4, encoding).
+# The specification's own numbers (docs/devices.md, section 4, encoding).
 @pytest.mark.parametrize(
     ("value", "text"), [(1234, b"CB"), (5432, b"1Dh"), (16_000_000, b"m2@0"), (0, b"00")]
 )

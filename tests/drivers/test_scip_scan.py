@@ -34,7 +34,7 @@ def reply_with(distances, request=None, intensities=None, echo=None):
     return reply
 
 
-# What DEVICES.md, section 8, says of the captures.
+# What docs/devices.md, section 8, says of the captures.
 @pytest.mark.parametrize(
     ("name", "timestamp", "count", "first", "most"),
     [

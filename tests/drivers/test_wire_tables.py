@@ -1,4 +1,4 @@
-"""The tables of DEVICES.md, entry by entry, against bytes that were put together by hand."""
+"""The tables of docs/devices.md, entry by entry, against bytes that were put together by hand."""
 
 import numpy as np
 import pytest

@@ -8,6 +8,7 @@ from slam.frontend.keyframes import KeyframeConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import VALID
 
+from benchmarks.paper import closest
 from benchmarks.paper.drives import (
     CONSTANT,
     PAPER_COUNTS,
@@ -23,8 +24,9 @@ from benchmarks.paper.drives import (
 )
 from benchmarks.paper.figures import draw_comparison
 from benchmarks.paper.icp import drop_longest, part_rivals
-from benchmarks.paper.paper import FIRST_TRAINING_SEED, SEEDS, Setting, compared, median_ci95, row
+from benchmarks.paper.paper import FIRST_TRAINING_SEED, SEEDS, Setting, compared, row
 from benchmarks.paper.report import write_paper_report
+from benchmarks.paper.spread import median_ci95
 from benchmarks.paper.study import BEDS, RULES, Rules, by_rules
 
 
@@ -173,6 +175,35 @@ def test_sdp_pe_is_compared_with_the_best_constant_and_with_its_control():
     assert found["best_constant_scans"] == 24
 
 
+CLOSEST = [
+    {
+        "bed": bed,
+        "matcher": matcher,
+        "seeds": 3,
+        "errors_cm": [7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0],
+        "errors_cm_ci95": [[e - 1.0, e + 1.0] for e in (7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.5)],
+        "sdp_pe_minus_even_cm_ci95": [0.5, 1.5],
+        "sdp_pe_minus_20_cm_ci95": [-1.5, -0.5],
+    }
+    for bed in closest.BEDS
+    for matcher in closest.MATCHERS
+]
+
+
+def test_figure_7_is_drawn_from_the_rows_of_the_closest_reading(tmp_path):
+    closest.draw_closest(CLOSEST, tmp_path / "fig7.png")
+    assert (tmp_path / "fig7.png").stat().st_size > 20_000
+
+
+def test_in_the_bed_closed_ahead_point_to_point_falls_as_in_the_paper():
+    drive = paper_bed_drive("180cm", 0, closest.BEDS[closest.CLOSED])
+    step = closest.MATCHERS["point-to-point, one to one"](drive)
+    errors_cm = [100.0 * follow(drive, every(k), step).error_m for k in (5, 10, 20)]
+    assert 15.0 < errors_cm[0] < 40.0
+    assert errors_cm[0] > 1.5 * errors_cm[1] > 2.0 * errors_cm[2]
+    assert errors_cm[2] < 6.0
+
+
 @pytest.mark.parametrize(
     ("errors", "word"),
     [([0.02] * 3, "in 1 of 1 cases. Looking at the walls helped in 1"), ([0.04] * 3, "in 0 of 1")],
@@ -183,10 +214,12 @@ def test_the_report_says_in_words_what_holds(tmp_path, errors, word):
     rows += [{**one, "reading": "878cm"} for one in rows]
     both = compared(outcomes)
     both += [{**one, "reading": "878cm"} for one in both]
-    write_paper_report(rows, {"seeds": 3, "compared": both, "study": []}, tmp_path / "paper.md")
+    meta = {"seeds": 3, "compared": both, "study": [], "closest": CLOSEST}
+    write_paper_report(rows, meta, tmp_path / "paper.md")
     text = (tmp_path / "paper.md").read_text("utf-8")
     assert word in text
     assert ("**holds not**" in text) == (errors[0] > 0.025)
     assert "462 steps of 1.9 cm make 878 cm" in text
+    assert "| closed 2.1 m past the end | point-to-line | 7.0 (6.0 to 8.0) |" in text
     draw_comparison([one for one in rows if one["reading"] == "180cm"], "180cm", tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 20_000
