@@ -62,9 +62,11 @@ def _raw(topic: str, device: Any, direction: Any) -> Channel:
     return Channel(topic, "", encode, decode)
 
 
-def _own(topic: str, kind: Callable[..., Any]) -> Channel:
-    """Return the channel of a message of plain fields, written under their own names."""
-    name = kind.__name__
+def _own(topic: str, name: str, kind: Callable[..., Any]) -> Channel:
+    """Return the channel of a message of plain fields, written under their own names.
+
+    `name` is that of the protobuf message, which stays when the class is renamed.
+    """
     fields = protos.field_names(name)
     cls = protos.CLASSES[name]
 
@@ -78,8 +80,8 @@ def _own(topic: str, kind: Callable[..., Any]) -> Channel:
         for field, value in values.items():
             if not isinstance(value, int | float | str):
                 values[field] = tuple(value)
-        if validate_message := _FLAWS.get(name, _no_flaw)(values):
-            raise ValueError(validate_message)
+        if flaw := _FLAWS.get(name, _no_flaw)(values):
+            raise ValueError(flaw)
         message: Message = kind(stamp_ns=stamp_ns, **values)
         return message
 
@@ -110,11 +112,11 @@ _ALL = (
     Channel("/truth", "Odometry", foxglove.encode_truth, foxglove.decode_truth),
     Channel("/pose", "Odometry", foxglove.encode_pose, foxglove.decode_pose),
     Channel("/map", "Grid", foxglove.encode_map, foxglove.decode_map),
-    _own("/keyframe", KeyframeDecision),
-    _own("/factor", FactorRecord),
-    _own("/loop", LoopResult),
+    _own("/keyframe", "KeyframeDecision", KeyframeDecision),
+    _own("/factor", "FactorRecord", FactorRecord),
+    _own("/loop", "LoopVerdict", LoopResult),
     Channel("/log", "Log", foxglove.encode_log, foxglove.decode_log),
-    _own("/diagnostics", DeviceHealth),
+    _own("/diagnostics", "DeviceHealth", DeviceHealth),
     _raw("/raw/p3dx/rx", "p3dx", "rx"),
     _raw("/raw/p3dx/tx", "p3dx", "tx"),
     _raw("/raw/laser/rx", "laser", "rx"),

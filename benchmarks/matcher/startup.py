@@ -19,11 +19,11 @@ from gtsam import Pose2
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import ScanConfig, prepare
-from slam.logs.messages import LaserMount, LaserScan
+from slam.logs.messages import LaserExtrinsics, LaserScan
 bearings = np.linspace(-1.5, 1.5, 181)
 ranges = np.minimum(4.0 / np.cos(bearings), 3.0 / np.maximum(np.abs(np.sin(bearings)), 1e-3))
 scan = LaserScan(0, -1.5, 3.0 / 180, ranges.astype(np.float32))
-seen = prepare(scan, LaserMount(0, 0.0, 0.0, 0.0), ScanConfig())
+seen = prepare(scan, LaserExtrinsics(0, 0.0, 0.0, 0.0), ScanConfig())
 for method in ("point_to_line", "point_to_point", "ndt", "psm"):
     match([Reference(Pose2(), seen)], seen, Pose2(), MatchConfig(method=method))
 """
