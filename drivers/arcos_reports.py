@@ -84,6 +84,11 @@ class StandardReport:
         return bool(self.flags & MOTORS_ENABLED)
 
     @property
+    def stop_pressed(self) -> bool:
+        """Whether somebody holds the robot with its STOP button."""
+        return bool(self.flags & STOP_BUTTON)
+
+    @property
     def stalled(self) -> tuple[bool, bool]:
         """Whether the left and the right wheel stall."""
         return bool(self.stall_bumpers & _LEFT_STALL), bool(self.stall_bumpers & _RIGHT_STALL)

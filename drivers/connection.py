@@ -13,6 +13,7 @@ from slam.drivers.ports import Port
 from slam.logs.messages import RawBytes, SensorMessage
 
 DeviceName = Literal["p3dx", "laser"]
+EventKind = Literal["connected", "resumed", "lost", "failed", "closed", "notice"]
 Clock = Callable[[], int]  # UTC in ns
 Part = TypeVar("Part")
 Part_co = TypeVar(
@@ -24,11 +25,14 @@ _SLICE_S = 0.1  # s, how soon a wait notices that it was called off
 
 @dataclass(frozen=True, slots=True)
 class DeviceEvent:
-    """A change in the connection to a device, for the log and for the operator."""
+    """A change in the connection to a device, for the log and for the operator.
+
+    A "notice" leaves the connection as it is: the device has said something about itself.
+    """
 
     stamp_ns: int
     device: DeviceName
-    kind: Literal["connected", "resumed", "lost", "failed", "closed"]
+    kind: EventKind
     detail: str  # in words
 
 

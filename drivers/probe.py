@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from slam.drivers.arcos_reports import StandardReport
 from slam.drivers.connection import Clock, Received, steady_utc
 from slam.drivers.errors import DriverError, PortError
 from slam.drivers.hokuyo import Hokuyo, HokuyoConfig
@@ -14,6 +13,7 @@ from slam.drivers.hokuyo_decoder import HokuyoDecoder
 from slam.drivers.pioneer import Pioneer, PioneerConfig
 from slam.drivers.pioneer_decoder import PioneerDecoder
 from slam.drivers.ports import Port, open_port
+from slam.drivers.robot_condition import robot_conditions
 from slam.logs.messages import LaserScan, WheelOdometry
 
 Kind = Literal["laser", "p3dx"]
@@ -157,9 +157,9 @@ def _pioneer_report(name: str, title: str, decoder: PioneerDecoder, rate_hz: flo
         facts.append(("configuration", "none, or damaged as on every p3dx-sh: defaults are used"))
     facts.append(("rate measured", f"{rate_hz:.1f} Hz"))
     if decoder.latest is not None:
-        more, warnings = _condition(decoder.latest)
-        facts += more
-        advice += warnings
+        conditions = robot_conditions(decoder.latest)
+        facts += [(condition.name, condition.value) for condition in conditions]
+        advice += [condition.warning for condition in conditions if condition.warning]
     cycle_s = 0.1 if decoder.config is None else max(decoder.config.sip_cycle, 1) * 1e-3
     if rate_hz < 0.8 / cycle_s:
         advice.append("fewer reports than the robot's cycle promises: is 9600 baud too slow?")
@@ -168,19 +168,3 @@ def _pioneer_report(name: str, title: str, decoder: PioneerDecoder, rate_hz: flo
     if bad > 2 or (bad and decoder.config is not None):
         advice.append(f"{bad} packets arrived damaged: check cable and adapter")
     return ProbeReport(name, "p3dx", title, tuple(facts), tuple(advice))
-
-
-def _condition(report: StandardReport) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return facts about a robot's state, and what is worrying in them."""
-    facts = [
-        ("battery", f"{report.volts:.1f} V"),
-        ("motors", "on" if report.motors_enabled else "off"),
-    ]
-    advice = []
-    if report.volts < 11.5:  # the manual's warning level for its lead batteries
-        advice.append(f"charge the batteries: {report.volts:.1f} V")
-    if any(report.stalled):
-        advice.append("a wheel is stalled")
-    if any(report.bumpers):
-        advice.append("a bumper touches something")
-    return facts, advice

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
-from slam.drivers.connection import Clock, DeviceEvent, DeviceName, Received, Sink, steady_utc
+from slam.drivers.connection import (
+    Clock,
+    DeviceEvent,
+    DeviceName,
+    EventKind,
+    Received,
+    Sink,
+    steady_utc,
+)
 from slam.drivers.errors import DriverError, Stopped
 
 
@@ -90,6 +98,7 @@ class DeviceReader:
     ) -> None:
         self.connections = 0
         self.outages = 0
+        self.failures = 0  # tries to connect that failed since it last worked
         self._session, self._sink = session, sink
         self._backoff, self._clock = backoff or Backoff(), clock or steady_utc()
         self._stop = stop or threading.Event()
@@ -119,15 +128,14 @@ class DeviceReader:
 
     def run(self) -> None:
         """Do what the thread does; ends after `stop`."""
-        failures = 0
         while not self._stop.is_set():
             if self._connect():
-                failures = 0
+                self.failures = 0
                 self._read()
-            failures += 1
-            self._stop.wait(self._backoff.delay_s(failures))
+            self.failures += 1
+            self._stop.wait(self._backoff.delay_s(self.failures))
         self._session.close()
-        self._tell("closed", "on request")
+        self._notify("closed", "on request")
 
     def _connect(self) -> bool:
         try:
@@ -136,10 +144,10 @@ class DeviceReader:
             return False
         except DriverError as error:
             self._session.drop()
-            self._tell("failed", str(error))
+            self._notify("failed", str(error))
             return False
         self.connections += 1
-        self._tell("resumed" if detail.startswith("resumed") else "connected", detail)
+        self._notify("resumed" if detail.startswith("resumed") else "connected", detail)
         return True
 
     def _read(self) -> None:
@@ -150,10 +158,8 @@ class DeviceReader:
         except DriverError as error:
             self._session.drop()
             self.outages += 1
-            self._tell("lost", str(error))
+            self._notify("lost", str(error))
 
-    def _tell(
-        self, kind: Literal["connected", "resumed", "lost", "failed", "closed"], detail: str
-    ) -> None:
+    def _notify(self, kind: EventKind, detail: str) -> None:
         now = self._clock()
         self._sink(Received(now, DeviceEvent(now, self._session.device, kind, detail)))

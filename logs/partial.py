@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import IO
 
 from slam.logs.errors import LogError
+from slam.logs.file_lock import hold, is_held
 
 
 class PartialFile:
     """A file written as `NAME.partial` and renamed to `NAME` by `commit`.
 
     With `keep`, what was written before a failure stays under the partial name, and an
-    older one is never overwritten: it may be the only copy of a recording.
+    older one is never overwritten: it may be the only copy of a recording.  Such a file is
+    locked while it is written, so that others can tell a recording from what one has left.
     """
 
     def __init__(self, path: Path, keep: bool, suffix: str = ".partial") -> None:
@@ -31,6 +33,10 @@ class PartialFile:
         try:
             self.stream: IO[bytes] = self.partial.open("xb" if keep else "wb")
         except FileExistsError as error:
+            if is_held(self.partial):
+                raise LogError(
+                    f"{self.partial}: another program is recording to it: choose another name"
+                ) from error
             raise LogError(
                 f"{self.partial}: an unfinished recording is in the way: run "
                 f"`slam recover {self.partial} --out FILE`, then remove it"
@@ -39,6 +45,8 @@ class PartialFile:
             raise LogError(
                 f"{path}: cannot be written: {error.strerror}: choose another place for it"
             ) from error
+        if keep:
+            hold(self.stream.fileno())
 
     def sync(self) -> None:
         """Bring everything written so far to the disk (OSError if it will not go)."""

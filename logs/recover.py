@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam.logs.errors import LogError
+from slam.logs.file_lock import is_held
 from slam.logs.mcap_summary import open_file, read_header
 from slam.logs.mcap_writer import CHUNK_BYTES, new_writer
 from slam.logs.partial import PartialFile
@@ -47,9 +48,14 @@ def recover(source: Path | str, target: Path | str) -> RecoveryReport:
 
     Raises:
         LogError: if the source is no MCAP file, holds no intact message, attachment or
-            metadata, or the target cannot be written.
+            metadata, is still being recorded, or the target cannot be written.
     """
     source, target = Path(source), Path(target)
+    if is_held(source):
+        raise LogError(
+            f"{source}: is still being recorded: stop that program first (Ctrl-C ends "
+            "`slam online` in good order, and then there is nothing to recover)"
+        )
     with open_file(source) as file:
         if target.exists() and os.path.samefile(source, target):
             raise LogError(f"{target}: is the damaged log itself: name another file to write")

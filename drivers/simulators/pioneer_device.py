@@ -19,6 +19,7 @@ from slam.drivers.arcos_protocol import (
 )
 from slam.drivers.arcos_reports import (
     MOTORS_ENABLED,
+    STOP_BUTTON,
     Identity,
     IoReport,
     StandardReport,
@@ -52,6 +53,7 @@ class PioneerDevice:
         self.commands: list[Command] = []  # all that were understood, for tests
         self.watchdog_trips = 0
         self.reports = 0  # standard reports sent
+        self.stop_pressed = False  # somebody holds the robot with its STOP button
         self._motion, self._world = motion, world
         self._reboots = list(self.build.reboots)
         self._boots_until = -math.inf
@@ -267,7 +269,11 @@ class PioneerDevice:
             left_vel=round((speed - difference) * 1000.0),
             right_vel=round((speed + difference) * 1000.0),
             battery=min(self._volts10, 255),
-            flags=MOTORS_ENABLED * self._motors | _SONAR_ARRAYS * self._sonar,
+            flags=(
+                MOTORS_ENABLED * self._motors
+                | _SONAR_ARRAYS * self._sonar
+                | STOP_BUTTON * self.stop_pressed
+            ),
             sonar=echoes(self._motion, self._world, now_s) if self._sonar else (),
             moving=self.build.tells_moving and (speed, turn_rate) != (0.0, 0.0),
             grip_state=0,

@@ -90,7 +90,7 @@ def replay(
 ) -> None:
     """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
     from slam.cli.progress import stage_progress
-    from slam.runs.config_file import load_config
+    from slam.online.robot_config import load_slam
     from slam.runs.process_pool import worker_count
     from slam.runs.replay import replay as run_replay
     from slam.runs.resume import read_prior_map
@@ -98,7 +98,7 @@ def replay(
 
     if start and resume is None:
         raise typer.BadParameter("--start says where in the map of --resume RUN the log starts")
-    settings = load_config(config, set_ or [])
+    settings = load_slam(config, set_ or [])
     prior_map = read_prior_map(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
     processes = processes or worker_count()

@@ -151,7 +151,10 @@ class _Progress:
             _say(f"{erase}{text}")
         if self._terminal or status.seconds >= self._due_s:
             self._due_s = status.seconds + _QUIET_S
-            _say(f"{erase}{status.line()}", nl=not self._terminal)
+            line = status.line()
+            if self._terminal and (status.alarm or status.warnings):
+                line = typer.style(line, fg=typer.colors.RED)
+            _say(f"{erase}{line}", nl=not self._terminal)
 
 
 def _say(text: str, nl: bool = True) -> None:

@@ -15,14 +15,14 @@ from slam.drivers.reader import DeviceReader
 from slam.logs.messages import LaserScan, WheelOdometry
 from slam.logs.recorder import Recorder
 from slam.mapping.slam import Slam
-from slam.online.device_notes import clock_model, health, identity, line_of
+from slam.online.device_notes import RobotWatch, clock_model, health, identity, line_of
 from slam.online.robot_config import RobotConfig
 from slam.online.sequencer import Intake, Taken
 from slam.runs.errors import RunError
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import feed
 from slam.runs.replay import TimedStep
-from slam.runs.status import Status, device_losses
+from slam.runs.status import GOOD_LINKS, Status, device_losses
 
 _LOOK_S = 0.1  # how soon a request to stop is noticed
 _DISK_S = 0.5  # s between two looks at whether recording has ended
@@ -65,7 +65,9 @@ class LiveRun:
         self._said: dict[str, str] = {}
         self._notices: list[str] = []
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
-        self._age_s = 0.0
+        self._newest_ns = 0  # receipt of the newest scan that has been used
+        self._robot_watch = RobotWatch()
+        self._reasons: dict[str, str] = {}  # of links that are not good, and what devices say
         self._noted: dict[str, dict[str, str]] = {}  # metadata by its name
         self._noted_ns = self._told_ns = self._began_ns = self._looked_ns = 0
         self._told_scans = 0
@@ -111,11 +113,11 @@ class LiveRun:
         searching = searching or self.slam.loops.searching
         self._watcher.show(self.slam, message)
         now = self._clock()
-        self._age_s = (now - received.receipt_ns) * 1e-9
         if isinstance(message, LaserScan):
-            self.latencies_ms.append(1e3 * self._age_s)
+            self._newest_ns = received.receipt_ns
+            self.latencies_ms.append((now - received.receipt_ns) * 1e-6)
             if searching:
-                self.searching_ms.append(1e3 * self._age_s)
+                self.searching_ms.append(self.latencies_ms[-1])
         while len(self._unused) > self.slam.waiting_scans:
             self.delays_ms.append((now - self._unused.popleft()) * 1e-6)
 
@@ -159,27 +161,60 @@ class LiveRun:
             seconds=(now - self._began_ns) * 1e-9,
             links=dict(self._links),
             scan_hz=(self.intake.scans - self._told_scans) / ((now - self._told_ns) * 1e-9),
-            age_s=self._age_s,
+            age_s=(now - (self._newest_scan_ns() or self._began_ns)) * 1e-9,
             waiting=self.intake.waiting,
             keyframes=len(slam.keyframes) if slam else 0,
             t_pe=decision.t_pe if decision else float("nan"),
             sigmas=decision.achieved_sigmas if decision else (),
             lost=self.losses(),
             news=news,
+            reasons=self._explained(),
+            robot={c.name: c.value for c in self._robot_watch.conditions},
+            warnings=self._robot_watch.warnings,
         )
+
+    def _newest_scan_ns(self) -> int:
+        """When the newest scan came in that is used, or with no map to make, recorded."""
+        return self.intake.last_scan_ns if self.slam is None else self._newest_ns
+
+    def _explained(self) -> dict[str, str]:
+        """Why a device is not there, and what is being done about it."""
+        tries = {reader.device: reader.failures for reader in self.readers}
+        found = {}
+        for device, reason in self._reasons.items():
+            trying = f"; trying again, {tries[device]} times so far" if tries[device] else ""
+            again = trying if self._links[device] in ("lost", "failed") else ""
+            found[device] = f"{reason.rstrip('. ')}{again}"
+        return found
 
     def _news(self) -> tuple[str, ...]:
         """What has happened to the devices, without repeating that one is still not there."""
         news, self._notices = self._notices, []
         for event in self.intake.events():
-            self._links[event.device] = event.kind
+            detail = event.detail.removeprefix(f"{event.kind}: ")
+            if event.kind != "notice":
+                self._links[event.device] = event.kind
+            if event.kind in GOOD_LINKS:
+                self._reasons.pop(event.device, None)
+            else:
+                self._reasons[event.device] = detail
             self._watcher.note(line_of(event))
-            said = event.detail.removeprefix(f"{event.kind}: ")
-            text = f"{event.device} {event.kind}: {said}"
+            text = f"{event.device} {event.kind}: {detail}"
             if text != self._said.get(event.device):
                 self._said[event.device] = text
                 news.append(text)
-        return tuple(news)
+        return (*news, *self._robot_news())
+
+    def _robot_news(self) -> list[str]:
+        """What has changed about the robot itself; it goes into the log as well."""
+        if self._links["p3dx"] not in GOOD_LINKS:
+            self._robot_watch.forget()
+            return []
+        lines = self._robot_watch.look(self.robot.decoder, self._clock())
+        for line in lines:
+            self._recorder.put(line)
+            self._watcher.note(line)
+        return [f"p3dx: {line.text}" for line in lines]
 
     def losses(self) -> dict[str, int]:
         """What was lost so far, by cause; an outage counts as one."""
@@ -209,7 +244,8 @@ class LiveRun:
         notes = {"lost": {cause: str(n) for cause, n in self.losses().items()}}
         for session in (self.robot, self.laser):
             device, decoder = session.device, session.decoder
-            state = health(now, device, self._links[device], decoder)
+            reason = self._explained().get(device, "")
+            state = health(now, device, self._links[device], decoder, reason)
             self._recorder.put(state)
             self._watcher.note(state)
             notes[device] = identity(decoder) | clock_model(decoder)

@@ -22,13 +22,13 @@ from slam.mapping.slam import Slam
 from slam.online.live import LiveRun
 from slam.online.priority import lower_priority, prioritised
 from slam.online.robot_config import RobotConfig
-from slam.online.run import RECORDING, add_results, finish_folder, log_name, online_run
+from slam.online.run import RECORDING, add_results, log_name, online_run
 from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError, SlamError
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish
 from slam.runs.replay import SLAM_TOPICS, time_matches
-from slam.runs.run_directory import version
+from slam.runs.run_directory import version, write_summary
 from slam.runs.status import Status
 from slam.runs.stopwatch import Stopwatch
 from slam.runs.summary import summarise
@@ -74,7 +74,7 @@ def run_online(
         "host": platform.node(),
     }  # fmt: skip
     began = time.perf_counter(), time.process_time()
-    with online_run(out) as folder, loops:
+    with online_run(out, config.slam) as folder, loops:
         if slam is not None:
             say("getting ready (kernels compile the first time)")
             warm_up(config.slam)
@@ -105,7 +105,7 @@ def run_online(
                 recording = Recording(status.files[0])
                 summary = _map(recording, live, slam, watch, identity, summary, began, observer)
         finally:
-            finish_folder(folder, summary, config.slam)
+            write_summary(folder, summary)
     if status.stopped and slam is None:
         raise RunError(status.stopped)
     return summary

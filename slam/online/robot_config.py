@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -15,7 +16,7 @@ from slam.drivers.pioneer_decoder import MODELS
 from slam.logs.messages import LaserExtrinsics
 from slam.logs.recording import RecorderConfig
 from slam.mapping.config import SlamConfig
-from slam.runs.config_file import load_model
+from slam.runs.config_file import load_config, load_model
 
 
 class RobotPort(BaseModel):
@@ -151,6 +152,25 @@ def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
     return load_model(RobotConfig, path, [_full_name(override) for override in overrides])
+
+
+def load_slam(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
+    """Settings of the pipeline from a file of them, or from the `[slam]` part of a `robot.toml`.
+
+    Raises:
+        ConfigError: like `load_robot`.
+    """
+    if path is not None and _is_of_a_robot(path):
+        return load_robot(path, overrides).slam
+    return load_config(path, overrides)
+
+
+def _is_of_a_robot(path: Path) -> bool:
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # who loads it says what is wrong
+        return False
+    return bool({"robot", "laser", "slam"} & found.keys())
 
 
 def _full_name(override: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.backend.g2o import write_g2o
+from slam.logs.file_lock import hold_folder
 from slam.logs.mcap_log import LogWriter, library_name
 from slam.logs.trajectory import format_stamp, write_tum
 from slam.maps.nav2_map import write_map_png, write_nav2_map
@@ -43,15 +43,15 @@ def _claimed(partial: Path) -> Iterator[None]:
 
 @contextmanager
 def _locked(directory: Path) -> Iterator[None]:
-    handle = os.open(directory, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise _TakenError from error
+        handle = hold_folder(directory)
+    except BlockingIOError as error:
+        raise _TakenError from error
+    try:
         yield
     finally:
-        os.close(handle)
+        if handle is not None:
+            os.close(handle)
 
 
 @contextmanager

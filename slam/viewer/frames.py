@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slam.logs.messages import KeyframeDecision, LaserScan, LoopResult
 from slam.mapping.keyframe import Keyframe
 from slam.runs.status import Status
-from slam.viewer.snapshot import Snapshot, View
+from slam.viewer.snapshot import DRIVING, Snapshot, View
 
 MOST_BEAMS = 361  # of a scan on the page
 BATCH = 100  # keyframes in one frame, so that a long run does not come in one lump
@@ -139,7 +139,12 @@ def _devices(view: View) -> dict[str, Any]:
     status = view.status
     if status is None:
         return {}
-    return {"devices": dict(status.links), "losses": dict(status.lost), "status": _status(status)}
+    return {
+        "devices": dict(status.links),
+        "losses": dict(status.lost),
+        "status": _status(status),
+        "alarm": status.alarm if view.stage in DRIVING else "",
+    }
 
 
 def _status(status: Status) -> dict[str, Any]:
@@ -149,6 +154,9 @@ def _status(status: Status) -> dict[str, Any]:
         "age_s": _number(status.age_s),
         "waiting": status.waiting,
         "news": status.news,
+        "reasons": dict(status.reasons),
+        "robot": dict(status.robot),
+        "warnings": status.warnings,
     }
 
 

@@ -90,6 +90,10 @@ def take_result(result: Result) -> Snapshot:
     )
 
 
+# Stages of a run in which devices are expected to send.
+DRIVING = ("starting", "waiting for data", "tracking")
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class View:
     """All that a page may ask for at one moment."""

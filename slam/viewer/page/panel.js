@@ -2,6 +2,7 @@
 
 const LAST = 200;  // keyframes in the little chart
 const NEWS = 8;
+const STALE_S = 1;  // older data are not live; as in slam/runs/status.py
 
 const byId = id => document.getElementById(id);
 const say = (id, text) => { const node = byId(id); if (node.textContent !== text) node.textContent = text; };
@@ -53,7 +54,7 @@ export class Panel {
   }
 
   show(state) {
-    say("stage", state.stage);
+    say("stage", state.alarm ? `${state.stage}, but no live data` : state.stage);
     if (state.pose) this.showPose(state);
     if (state.losses) showLosses(state.losses);
     if (state.devices) this.showDevices(state);
@@ -79,9 +80,16 @@ export class Panel {
     byId("devices").hidden = false;
     const rows = Object.entries(devices).map(
       ([name, kind]) => [name, kind, ["connected", "resumed"].includes(kind) ? "good" : "bad"]);
-    rows.push(["scans a second", number(status.scan_hz, 1), ""], ["age of data", number(status.age_s * 1000, 0, " ms"), ""]);
+    for (const [name, value] of Object.entries(status.robot)) {
+      rows.push([name, value, ["off", "pressed", "stalled"].includes(value) ? "bad" : ""]);
+    }
+    const old = status.age_s > STALE_S;
+    rows.push(["scans a second", number(status.scan_hz, 1), ""],
+      ["age of data", old ? number(status.age_s, 1, " s") : number(status.age_s * 1000, 0, " ms"), old ? "bad" : ""]);
     if (status.waiting > 1) rows.push(["waiting", String(status.waiting), "bad"]);
     list(byId("devices").querySelector("dl"), rows);
+    const reasons = Object.entries(status.reasons).map(([name, text]) => `${name}: ${text}`);
+    byId("reasons").replaceChildren(...[...reasons, ...status.warnings].map(text => element("li", text)));
     if (status.seconds === this.told) return;
     this.told = status.seconds;
     this.news = [...this.news, ...status.news].slice(-NEWS);

@@ -48,7 +48,8 @@ const frames = {
     stage = frame.stage;
     map.show({ ...frame, scan: scanOf(frame.scan) });
     panel.show(frame);
-    panel.link(stage === "finished" ? "finished" : "live", stage === "finished" ? "finished" : "live");
+    if (frame.alarm) panel.link("lost", `not live: ${frame.alarm}`);
+    else panel.link(stage === "finished" ? "finished" : "live", stage === "finished" ? "finished" : "live");
   },
 };
 

@@ -209,6 +209,41 @@ def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tm
         assert "/odom" not in log.counts()
 
 
+def test_devices_that_fall_silent_are_told_as_such_everywhere(simulated, tmp_path):
+    told, gone = [], WireFaults(silences=((3.5, 1e9),))
+    with simulated(gone, gone) as robot:
+        stop = after(7.5)
+
+        def stopping():
+            robot.base.stop_pressed = len(told) > 3
+            return stop()
+
+        run_online(robot.config, tmp_path / "run", stop=stopping, record_only=True,
+                   tell=told.append, period_s=0.3)  # fmt: skip
+    live, last = (
+        [s for s in told if s.links == {"p3dx": "connected", "laser": "connected"}],
+        told[-1],
+    )
+    assert min(s.age_s for s in live) < 0.5
+    assert last.age_s > 2.0
+    assert f"age {last.age_s:.1f} s" in last.line()
+    assert "laser failed: no Hokuyo answers" in last.alarm or "laser lost: no scan" in last.alarm
+    assert "trying again" in last.alarm
+    pressed = next(s for s in told if s.warnings)
+    assert "STOP button is pressed" in pressed.line()
+    assert pressed.robot["STOP button"] == "pressed"
+    with open_log(tmp_path / "run" / "run.mcap") as log:
+        said = list(log.messages(["/log", "/diagnostics"]))
+    lines = [f"{m.level} {m.name} {m.text}" for m in said if isinstance(m, LogLine)]
+    assert any(text.startswith("warning p3dx the STOP button is pressed") for text in lines)
+    assert any(text.startswith("error laser lost: no scan from the laser") for text in lines)
+    health = [dict(zip(m.names, m.values, strict=True)) | {"link": m.link}
+              for m in said if isinstance(m, DeviceHealth) and m.device == "p3dx"]  # fmt: skip
+    assert health[-1]["stop_button"] == "pressed"
+    assert health[-1]["motors"] == "on"
+    assert health[-1]["battery_v"] == "12.8"
+
+
 def test_a_disk_that_runs_full_ends_the_run_with_what_there_is(simulated, tmp_path, monkeypatch):
     with simulated() as robot:
         end = time.monotonic() + 4.0
