@@ -8,6 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import tomli_w
+
+from slam.logs.atomic_write import atomic_write
 from slam.logs.file_lock import hold_folder, is_held
 from slam.logs.mcap_log import LogWriter, open_log
 from slam.logs.parts import Recording
