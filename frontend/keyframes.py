@@ -19,6 +19,12 @@ from slam.frontend.information import (
 )
 from slam.frontend.scan import PreparedScan
 
+SHORTEST_M = 0.1  # the shortest predicted interval: nearer, a match costs more than it gains
+NARROWEST_RAD = 0.1  # the narrowest predicted turn, likewise
+# Where no loops are closed every error stays and adds up: a predicted error may exceed the least by
+# a quarter as much, and the widest turn is four fifths (simulated drives, docs/results.md).
+OPEN_TOLERANCE, OPEN_WIDEST = 0.25, 0.8
+
 
 class KeyframeConfig(BaseModel):
     """Keyframe selection."""
@@ -47,28 +53,25 @@ class KeyframeConfig(BaseModel):
     )
     profile_reach: float = Field(4.0, gt=0, description="m of wall ahead and behind")
     profile_bin: float = Field(0.25, gt=0, description="m, grid of the wall profile")
-    shortest: float = Field(0.1, gt=0, description="m, the shortest foreseen interval")
-    longest: float = Field(3.0, gt=0, description="m, the longest foreseen interval")
-    # A foreseen sigma is right to about a tenth (0.05 to 0.16 in the median over the simulated
+    longest: float = Field(
+        3.0, gt=SHORTEST_M, description="m, the longest predicted interval; the shortest is 0.1 m"
+    )
+    # A predicted sigma is right to about a tenth (0.05 to 0.16 in the median over the simulated
     # worlds), so no choice is better than that; but in an open chain every error stays and adds up.
     tolerance: float = Field(
-        0.1, ge=0, description="share by which a foreseen error may exceed the least, for longer "
-        "intervals, where loops are closed",
+        0.1, ge=0, description="share by which a predicted error may exceed the least, for longer "
+        "intervals; where loops are off, a quarter of it",
     )  # fmt: skip
-    tolerance_open: float = Field(
-        0.025, ge=0, description="the same where no loops are closed and every error stays"
-    )
     least_overlap: float = Field(
         0.7, gt=0, lt=1, description="share of the view that method overlap keeps"
     )
     max_turn: float = Field(
-        0.3, gt=0, description="rad, a larger turn makes a keyframe; method information foresees it"
+        0.3, gt=0, description="rad, a larger turn makes a keyframe; method information predicts it"
     )
-    narrowest: float = Field(0.1, gt=0, description="rad, the narrowest foreseen turn")
     widest: float = Field(
-        1.0, gt=0, description="rad, the widest foreseen turn, where loops are closed"
-    )
-    widest_open: float = Field(0.8, gt=0, description="rad, the same where no loops are closed")
+        1.0, gt=NARROWEST_RAD / OPEN_WIDEST,
+        description="rad, the widest predicted turn; where loops are off, four fifths of it",
+    )  # fmt: skip
     max_time: float = Field(
         10.0, gt=0, description="s, the longest wait while the robot moves at all"
     )
@@ -80,22 +83,21 @@ class KeyframeConfig(BaseModel):
             raise ValueError("min_interval must not exceed max_interval")
         if self.t_low >= self.t_high:
             raise ValueError("t_low must be below t_high")
-        if self.shortest >= self.longest:
-            raise ValueError("shortest must be below longest")
-        if self.narrowest >= min(self.widest, self.widest_open):
-            raise ValueError("narrowest must be below widest and widest_open")
-        if self.foresees and self.unit != "metres":
+        if self.predicts and self.unit != "metres":
             raise ValueError(f"method {self.method} gives metres: unit must be metres")
         return self
 
     @property
     def open(self) -> KeyframeConfig:
         """The settings for a chain of keyframes whose loops are not closed."""
-        values = {"tolerance": self.tolerance_open, "widest": self.widest_open}
+        values = {
+            "tolerance": OPEN_TOLERANCE * self.tolerance,
+            "widest": OPEN_WIDEST * self.widest,
+        }
         return self.model_copy(update=values)
 
     @property
-    def foresees(self) -> bool:
+    def predicts(self) -> bool:
         """Whether the interval depends on where the robot goes, and waits for its first motion."""
         return self.method in ("information", "overlap")
 
@@ -122,10 +124,10 @@ def interval_after(
     """
     if config.method == "constant":
         return Interval(config.interval, None)
-    if config.foresees:
+    if config.predicts:
         turn = None
         if config.method == "information" and model is not None:
-            turn = best_turn(keyframe, config.narrowest, config.widest, model)
+            turn = best_turn(keyframe, NARROWEST_RAD, config.widest, model)
         return Interval(config.longest, None, open=True, turn=turn)
     left, right = wall_profiles(keyframe.points, config.profile_reach, config.profile_bin)
     complexity = pose_score(wall_sums(left), wall_sums(right), config.weights)
@@ -149,10 +151,10 @@ def interval_ahead(
     direction = math.atan2(moved.y(), moved.x())
     if config.method == "overlap":
         length = distance_of_overlap(
-            keyframe, direction, config.shortest, config.longest, config.least_overlap, model
+            keyframe, direction, SHORTEST_M, config.longest, config.least_overlap, model
         )
         return Interval(length, None)
-    prediction = best_distance(keyframe, direction, config.shortest, config.longest, model)
+    prediction = best_distance(keyframe, direction, SHORTEST_M, config.longest, model)
     return Interval(prediction.distance, None, prediction)
 
 

@@ -123,7 +123,7 @@ def information(drive: Drive, with_odometry: bool) -> Length:
 
     model = PredictionModel(
         odometry, 1, matcher.range_noise, matcher.lasting, ScanConfig().gap_ratio,
-        config.tolerance_open,
+        config.open.tolerance,
     )  # fmt: skip
     ahead = Pose2(1.0, 0.0, 0.0)
     return lambda scan: interval_ahead(scan, ahead, model, config).length

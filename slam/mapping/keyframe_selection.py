@@ -10,7 +10,13 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.frontend.information import PredictionModel
-from slam.frontend.keyframes import Interval, interval_after, interval_ahead, reason_to_keep
+from slam.frontend.keyframes import (
+    SHORTEST_M,
+    Interval,
+    interval_after,
+    interval_ahead,
+    reason_to_keep,
+)
 from slam.frontend.scan import PreparedScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe
@@ -64,7 +70,7 @@ class KeyframeSelector:
     def _choose_interval(self, moved: Pose2, seconds: float, keyframe: Keyframe) -> None:
         """Predict the next match as soon as the direction and speed of motion are known."""
         distance = float(np.hypot(moved.x(), moved.y()))
-        if distance >= self._rule.shortest:
+        if distance >= SHORTEST_M:
             model = self._model(distance / seconds)
             chosen = interval_ahead(self._view(keyframe), moved, model, self._rule)
             self.interval = replace(chosen, turn=self.interval.turn)

@@ -32,7 +32,7 @@ PLAIN = World(np.array([[-40.0, 1.5, 40.0, 1.5], [-40.0, -1.5, 40.0, -1.5]]))
 ONE_WALL = World(PLAIN.segments[:1])
 GLASS = World(PLAIN.segments[:1], panes=PLAIN.segments[1:])
 SPEED = 0.6  # m/s
-SLACK = KeyframeConfig().tolerance_open
+SLACK = KeyframeConfig().open.tolerance
 
 
 def odometry(metres, radians=0.0):

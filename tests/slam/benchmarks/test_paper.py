@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from slam.frontend.keyframes import KeyframeConfig
+from slam.frontend.keyframes import SHORTEST_M, KeyframeConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import VALID
 
@@ -77,7 +77,7 @@ def test_information_goes_as_far_as_its_limits_allow(drive, with_odometry):
     config = KeyframeConfig()
     used = chosen(drive, information(drive, with_odometry))
     steps = drive.step_m * np.diff(used)
-    assert (steps[:-1] >= config.shortest).all()
+    assert (steps[:-1] >= SHORTEST_M).all()
     assert (steps <= config.longest + drive.step_m).all()
 
 

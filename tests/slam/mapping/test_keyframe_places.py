@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.world import World
-from slam.frontend.keyframes import KeyframeConfig
+from slam.frontend.keyframes import NARROWEST_RAD, SHORTEST_M, KeyframeConfig
 from slam.logs.messages import LaserScan
 
 from slam.mapping.slam import Slam
@@ -96,7 +96,7 @@ def run_in(sense):
 def turns(config):
     """Narrowest and widest turn, rad."""
     if config.method == "information":
-        return config.narrowest, config.widest_open  # loops stay open here
+        return NARROWEST_RAD, config.open.widest  # loops stay open here
     return config.max_turn, config.max_turn
 
 
@@ -105,7 +105,7 @@ def bounds(config):
     if config.method == "constant":
         return config.interval, config.interval
     if config.foresees:
-        return config.shortest, config.longest
+        return SHORTEST_M, config.longest
     return config.min_interval, config.max_interval
 
 

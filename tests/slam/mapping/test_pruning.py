@@ -17,7 +17,7 @@ from slam.logs.trajectory import compose
 from slam.evaluation.metrics import align
 from slam.mapping.loop_worker import run_inline
 from slam.mapping.pruning import FormerPlaces, Pruner, PruningConfig
-from slam.mapping.slam import PRUNED, Slam
+from slam.mapping.slam import BYPASS, Slam
 from slam.runs.config_file import load_config
 from slam.runs.offline import run_offline
 from slam.runs.resume import read_prior_map
@@ -87,7 +87,7 @@ def test_records_name_the_keyframes_that_are_left(thin):
         assert 0 <= pair.i < pair.j < count
     used = {(f.kind, f.i, f.j) for f in slam.records.factors if f.used}
     assert {(e.kind, e.i, e.j) for e in slam.graph.edges} == used
-    assert any(f.note == PRUNED for f in slam.records.factors)
+    assert any(f.note == BYPASS for f in slam.records.factors)
     numbers = [k.number for k in slam.keyframes]
     assert numbers == sorted(set(numbers))
     assert numbers[-1] > count
@@ -127,7 +127,7 @@ def test_a_run_that_was_thinned_can_be_written_and_resumed(thin, tmp_path):
     slam.resume(prior_map)
     np.testing.assert_allclose(slam.graph.poses, thin.keyframes.poses, atol=0.02)
     with open_log(tmp_path / "run.mcap") as log:
-        assert any(m.note == PRUNED for m in log.messages(["/factor"]))
+        assert any(m.note == BYPASS for m in log.messages(["/factor"]))
 
 
 def test_news_of_the_run_come_once(messages):

@@ -83,7 +83,7 @@ def recording(request, tmp_path_factory):
     path = tmp_path_factory.mktemp(request.param) / "drive.mcap"
     with LogWriter(path) as log:
         log.add_attachment("robot.json", CONFIG.model_dump_json(exclude={"slam"}).encode(), "")
-        log.write(CONFIG.extrinsics.message(EPOCH_NS))
+        log.write(CONFIG.mount.message(EPOCH_NS))
         late_ns = 30_000_000 if request.param == "threads" else 0
         received = heapq.merge(*streams, key=lambda r: r.receipt_ns)
         in_log = sorted(
@@ -127,7 +127,7 @@ def test_both_replays_are_the_same_run(recording, tmp_path):
 def log_with(path, settings, name="robot.json"):
     with LogWriter(path) as log:
         log.add_attachment(name, settings, "application/json")
-        log.write(CONFIG.extrinsics.message(EPOCH_NS))
+        log.write(CONFIG.mount.message(EPOCH_NS))
     return path
 
 

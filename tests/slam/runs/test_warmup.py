@@ -53,7 +53,7 @@ def _stop_once_there(path):
 
 @pytest.mark.parametrize(
     "settings",
-    [["scan.max_range=2.0"], ["matcher.min_pairs=200"], ["keyframes.method=information"],
+    [["laser.max_range=2.0"], ["matcher.min_pairs=200"], ["keyframes.method=information"],
      ["matcher.method=ndt", "loops.enabled=false"]],
 )  # fmt: skip
 def test_no_setting_is_in_the_way_of_compiling(settings):
@@ -65,7 +65,8 @@ def test_no_kernel_is_compiled_for_two_kinds_of_arrays(tmp_path):
     # On one core, in one process: two may both compile the same kernel and number it anew.
     program = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        "from slam.config import SlamConfig; from slam.compiling.warmup import warm_up\n"
+        "from slam.mapping.config import SlamConfig\n"
+        "from slam.runs.compiling.warmup import warm_up\n"
         "warm_up(SlamConfig())"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
