@@ -17,10 +17,12 @@ from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig
+from slam.frontend.place_descriptor import PlaceConfig
 from slam.frontend.scan import PreparedScan
 from slam.logs.messages import LoopResult
 from slam.mapping.keyframe import Keyframe, placed, view_centres
 from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
+from slam.mapping.place_memory import PlaceMemory, RecognisedPlace
 from slam.mapping.records import pairs_left
 
 
@@ -52,6 +54,15 @@ class LoopConfig(BaseModel):
     gate: float = Field(
         1e-3, gt=0, lt=1, description="chance of refusing a true closure by chi-square"
     )
+    recognise: bool = Field(
+        False, description="also try places that look alike, wherever the graph has them"
+    )
+    recognised: int = Field(3, ge=1, description="such places tried per search")
+    recognised_m: float = Field(2.0, gt=0, description="m searched about such a place's centre")
+    recognised_turn: float = Field(
+        0.25, gt=0, description="rad searched about the heading that the looks suggest"
+    )
+    place: PlaceConfig = PlaceConfig()
     search: LoopSearchConfig = LoopSearchConfig()
 
 
@@ -80,6 +91,7 @@ class LoopCloser:
         # Refused for the graph as it was then; the whole graph may side with them in the end.
         self.rejected: list[LoopCandidate] = []
         self._pending: list[LoopCandidate] = []
+        self._memory = PlaceMemory(config.place, config.min_path_m)
         self._searched_m = 0.0
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
@@ -116,9 +128,11 @@ class LoopCloser:
             return False
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
-        ask = partial(self._place_candidates, keyframes, graph, places)
-        self._searcher.begin(ask if places else None)
-        return bool(places)
+        recognised = self._recognised(keyframes, graph)
+        ask = partial(self._place_candidates, keyframes, graph, places, recognised)
+        due = bool(places or recognised)
+        self._searcher.begin(ask if due else None)
+        return due
 
     def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[LoopCandidate]:
         """Closures that are now believed, from the search begun last and ones that waited.
@@ -158,6 +172,16 @@ class LoopCloser:
                 break
         return [k * stride for k in chosen]
 
+    def _recognised(
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph
+    ) -> list[RecognisedPlace]:
+        """Old places that look like the one the robot has just left, by their looks alone."""
+        config = self.config
+        if not config.recognise or not self._memory.update(keyframes, graph):
+            return []
+        apart = round(config.places_apart_m / config.place.every_m)
+        return self._memory.recognise(keyframes, graph, config.recognised, apart)
+
     def _submap(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: Iterable[int], origin: int
     ) -> list[tuple[Pose2, PreparedScan]]:
@@ -165,13 +189,18 @@ class LoopCloser:
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
 
     def _place_candidates(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int]
-    ) -> list[PlaceCandidate]:
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int],
+        recognised: Sequence[RecognisedPlace],
+    ) -> list[PlaceCandidate]:  # fmt: skip
         newest, half = keyframes[-1].index, self.config.target_half
         recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
         query = self._submap(keyframes, graph, recent, newest)
+        known_of = graph.relatives(anchors, newest) if anchors else []
+        tried = list(zip(anchors, known_of, strict=True))
+        loose = np.diag([self.config.recognised_m**2] * 2 + [self.config.recognised_turn**2]) / 9
+        tried += [(place.anchor, (place.anchor_T_newest, loose)) for place in recognised]
         places_to_try = []
-        for anchor, known in zip(anchors, graph.relatives(anchors, newest), strict=True):
+        for anchor, known in tried:
             near = range(max(0, anchor - half), min(newest, anchor + half + 1))
             middle = keyframes[anchor].number
             target = [k for k in near if abs(keyframes[k].number - middle) <= half]
