@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-
-from benchmarks.benchmark import logs_in
-from slam.evaluation.relations import nearest_rows
-from slam.evaluation.report.read_run import read_run
 from slam.frontend.place_descriptor import PlaceConfig, PlaceIndex, Spectrum, describe, thinned
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.mcap_log import open_log
 from slam.logs.messages import LaserExtrinsics, LaserScan
 from slam.logs.trajectory import read_tum
+
+from benchmarks.benchmark import logs_in
+from slam.evaluation.relations import nearest_rows
+from slam.evaluation.report.read_run import read_run
 from slam.runs.errors import RunError
 from slam.tools.imports import import_log
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,6 +47,10 @@ class LoopSearchConfig(BaseModel):
         0.55, ge=0, le=1, description="mean likelihood of the query at the result"
     )
     max_reach: float = Field(15.0, gt=0, description="m, the search window never grows beyond")
+    quick_reach: float = Field(
+        4.0, gt=0, description="m, nor beyond this in searches that are to be quick"
+    )
+    quick_turn: float = Field(0.6, gt=0, description="rad, the same of the heading")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,6 +90,7 @@ def close_loop(
     covariance: Matrix,
     config: LoopSearchConfig,
     matcher: MatchConfig,
+    quick: bool = False,
 ) -> Closure:
     """Search, refine and judge one candidate.
 
@@ -96,12 +102,14 @@ def close_loop(
         covariance: of that prediction, in the newest's frame.
         config: thresholds.
         matcher: of the scan matcher.
+        quick: keep the window small, whatever the covariance.
     """
+    most, most_turn = config.max_reach, math.pi
+    if quick:
+        most, most_turn = config.quick_reach, config.quick_turn
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     sigma_turn = float(np.sqrt(covariance[2, 2]))
-    window = Window(
-        predicted, min(3 * sigma + 0.3, config.max_reach), min(3 * sigma_turn + 0.1, np.pi)
-    )
+    window = Window(predicted, min(3 * sigma + 0.3, most), min(3 * sigma_turn + 0.1, most_turn))
     cloud = submap_points(query)
     near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.correlative.max_range
     points = thin(cloud[near], config.correlative.resolution, config.correlative.max_points)

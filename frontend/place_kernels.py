@@ -31,7 +31,7 @@ def draw_scan(points, beam_stride, origin_x, origin_y, x, y, theta, cell, free, 
         py = y + s * points[k, 0] + c * points[k, 1]
         r = int(math.hypot(px, py) / ring)
         if r < rings:
-            sector = int(math.floor(math.atan2(py, px) * per_radian)) % sectors
+            sector = math.floor(math.atan2(py, px) * per_radian) % sectors
             occupied[r, sector] = 1
         if k % beam_stride:
             continue
@@ -58,8 +58,8 @@ def centred_bins(free, cell, ring, occupied, bins):
         seen, hit = 0, 0
         for a in range(sectors):
             angle = (a + 0.5) * 2 * math.pi / sectors
-            column = int(math.floor((r + 0.5) * ring * math.cos(angle) / cell)) + half
-            row = int(math.floor((r + 0.5) * ring * math.sin(angle) / cell)) + half
+            column = math.floor((r + 0.5) * ring * math.cos(angle) / cell) + half
+            row = math.floor((r + 0.5) * ring * math.sin(angle) / cell) + half
             inside = 0 <= column < size and 0 <= row < size
             bins[r, a] = 0.0
             if occupied[r, a]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -62,6 +63,9 @@ class LoopConfig(BaseModel):
     recognised_turn: float = Field(
         0.25, gt=0, description="rad searched about the heading that the looks suggest"
     )
+    wide_every_m: float = Field(
+        5.0, gt=0, description="m travelled between searches of wide windows, if places are known"
+    )
     place: PlaceConfig = PlaceConfig()
     search: LoopSearchConfig = LoopSearchConfig()
 
@@ -93,6 +97,8 @@ class LoopCloser:
         self._pending: list[LoopCandidate] = []
         self._memory = PlaceMemory(config.place, config.min_path_m)
         self._searched_m = 0.0
+        self._searched_wide_m = 0.0
+        self._closed_m = -math.inf  # way at which a closure was last believed
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
         self._anchors_m: list[float] = []
@@ -129,7 +135,10 @@ class LoopCloser:
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
         recognised = self._recognised(keyframes, graph)
-        ask = partial(self._place_candidates, keyframes, graph, places, recognised)
+        quick = self.config.recognise
+        if newest.travelled_m - self._searched_wide_m >= self.config.wide_every_m:
+            quick, self._searched_wide_m = False, newest.travelled_m
+        ask = partial(self._place_candidates, keyframes, graph, places, recognised, quick)
         due = bool(places or recognised)
         self._searcher.begin(ask if due else None)
         return due
@@ -144,6 +153,8 @@ class LoopCloser:
             candidate = self._judge(keyframes, graph, place, closure)
             if candidate is not None:
                 accepted += self._admit(candidate, graph, keyframes[-1].travelled_m)
+        if accepted:
+            self._closed_m = keyframes[-1].travelled_m
         return accepted
 
     def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
@@ -172,12 +183,15 @@ class LoopCloser:
                 break
         return [k * stride for k in chosen]
 
-    def _recognised(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph
-    ) -> list[RecognisedPlace]:
-        """Old places that look like the one the robot has just left, by their looks alone."""
+    def _recognised(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[RecognisedPlace]:
+        """Old places that look like the one the robot has just left, by their looks alone.
+
+        None are tried where a closure was believed a moment ago: the graph knows better then.
+        """
         config = self.config
         if not config.recognise or not self._memory.update(keyframes, graph):
+            return []
+        if keyframes[-1].travelled_m - self._closed_m < config.wide_every_m:
             return []
         apart = round(config.places_apart_m / config.place.every_m)
         return self._memory.recognise(keyframes, graph, config.recognised, apart)
@@ -190,7 +204,7 @@ class LoopCloser:
 
     def _place_candidates(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int],
-        recognised: Sequence[RecognisedPlace],
+        recognised: Sequence[RecognisedPlace], quick: bool,
     ) -> list[PlaceCandidate]:  # fmt: skip
         newest, half = keyframes[-1].index, self.config.target_half
         recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
@@ -205,7 +219,7 @@ class LoopCloser:
             middle = keyframes[anchor].number
             target = [k for k in near if abs(keyframes[k].number - middle) <= half]
             old = self._submap(keyframes, graph, target, anchor)
-            places_to_try.append(PlaceCandidate(anchor, old, query, *known))
+            places_to_try.append(PlaceCandidate(anchor, old, query, *known, quick))
         return places_to_try
 
     def _judge(
