@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ from slam.frontend.matching import match
 from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
+
+QUICK_REACH_M, QUICK_TURN_RAD = 4.0, 0.6  # a window that takes milliseconds to search
 
 
 class LoopSearchConfig(BaseModel):
@@ -85,6 +88,7 @@ def close_loop(
     covariance: Matrix,
     config: LoopSearchConfig,
     matcher: MatchConfig,
+    quick: bool = False,
 ) -> Closure:
     """Search, refine and judge one candidate.
 
@@ -96,12 +100,14 @@ def close_loop(
         covariance: of that prediction, in the newest's frame.
         config: thresholds.
         matcher: of the scan matcher.
+        quick: keep the window small, whatever the covariance.
     """
+    most, most_turn = config.max_reach, math.pi
+    if quick:
+        most, most_turn = QUICK_REACH_M, QUICK_TURN_RAD
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     sigma_turn = float(np.sqrt(covariance[2, 2]))
-    window = Window(
-        predicted, min(3 * sigma + 0.3, config.max_reach), min(3 * sigma_turn + 0.1, np.pi)
-    )
+    window = Window(predicted, min(3 * sigma + 0.3, most), min(3 * sigma_turn + 0.1, most_turn))
     cloud = submap_points(query)
     near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.correlative.max_range
     points = thin(cloud[near], config.correlative.resolution, config.correlative.max_points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,13 +19,22 @@ from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig
+from slam.frontend.place_descriptor import PlaceConfig
 from slam.frontend.scan import PreparedScan
 from slam.logs.messages import LoopResult
 from slam.mapping.keyframe import Keyframe, placed, view_centres
 from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
+from slam.mapping.place_memory import PlaceMemory, RecognisedPlace
 from slam.mapping.records import pairs_left
 
 PLACES_APART_M = 3.0  # between places tried: one search covers a place of that size
+# Places recognised by their shape, wherever the graph has them: so many are tried in a search,
+# within 2 m and 0.25 rad (about two rings and two sectors) of the pose that the descriptor gives.
+RECOGNISED = 3
+RECOGNISED_COVARIANCE = np.diag([2.0**2, 2.0**2, 0.25**2]) / 9  # three sigma, m^2 and rad^2
+# m of path between searches of wide windows where places are recognised, and after a closure
+# without recognition: the graph knows better then.
+WIDE_EVERY_M = 5.0
 MIN_GAIN = 1.0  # nats; a closure that adds less information waits for the final optimisation
 
 
@@ -53,6 +63,9 @@ class LoopConfig(BaseModel):
     pending_m: float = Field(15.0, gt=0, description="m of travel that a closure waits for support")
     gate: float = Field(
         1e-3, gt=0, lt=1, description="probability of refusing a true closure by its chi-square"
+    )
+    recognise: bool = Field(
+        False, description="try places of similar shape too, wherever the graph has them"
     )
     search: LoopSearchConfig = LoopSearchConfig()
 
@@ -91,7 +104,10 @@ class LoopCloser:
         # Refused for the graph as it was then; the whole graph may agree with them in the end.
         self.rejected: list[LoopCandidate] = []
         self._pending: list[LoopCandidate] = []
+        self._memory = PlaceMemory(PlaceConfig(), config.min_path_m)
         self._searched_m = 0.0
+        self._searched_wide_m = 0.0
+        self._closed_m = -math.inf  # path at which a closure was last accepted
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
         self._anchors_m: list[float] = []
@@ -125,9 +141,14 @@ class LoopCloser:
             return False
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
-        ask = partial(self._place_candidates, keyframes, graph, places)
-        self._worker.begin(ask if places else None)
-        return bool(places)
+        recognised = self._recognised(keyframes, graph)
+        quick = self.config.recognise
+        if newest.travelled_m - self._searched_wide_m >= WIDE_EVERY_M:
+            quick, self._searched_wide_m = False, newest.travelled_m
+        ask = partial(self._place_candidates, keyframes, graph, places, recognised, quick)
+        due = bool(places or recognised)
+        self._worker.begin(ask if due else None)
+        return due
 
     def close(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[LoopCandidate]:
         """Closures that are now accepted, from the search begun last and ones that were pending.
@@ -144,6 +165,8 @@ class LoopCloser:
                 accepted.append(candidate)
             elif status == "pending":
                 accepted += self._with_support(candidate, graph, keyframes[-1].travelled_m)
+        if accepted:
+            self._closed_m = keyframes[-1].travelled_m
         return accepted
 
     def _places(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[int]:
@@ -172,6 +195,19 @@ class LoopCloser:
                 break
         return [k * stride for k in chosen]
 
+    def _recognised(self, keyframes: Sequence[Keyframe], graph: PoseGraph) -> list[RecognisedPlace]:
+        """Old places that look like the one the robot has just left, by their looks alone.
+
+        None are tried where a closure was accepted a moment ago: the graph knows better then.
+        """
+        config = self.config
+        if not config.recognise or not self._memory.update(keyframes, graph):
+            return []
+        if keyframes[-1].travelled_m - self._closed_m < WIDE_EVERY_M:
+            return []
+        apart = round(PLACES_APART_M / PlaceConfig().every_m)
+        return self._memory.recognise(keyframes, graph, RECOGNISED, apart)
+
     def _submap(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, members: Iterable[int], origin: int
     ) -> list[tuple[Pose2, PreparedScan]]:
@@ -179,18 +215,24 @@ class LoopCloser:
         return [(base.between(graph.pose(k)), keyframes[k].prepared) for k in members]
 
     def _place_candidates(
-        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int]
-    ) -> list[PlaceCandidate]:
+        self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int],
+        recognised: Sequence[RecognisedPlace], quick: bool,
+    ) -> list[PlaceCandidate]:  # fmt: skip
         newest, half = keyframes[-1].index, self.config.target_half
         recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
         query = self._submap(keyframes, graph, recent, newest)
+        known_of = graph.relatives(anchors, newest) if anchors else []
+        tried = list(zip(anchors, known_of, strict=True))
+        tried += [
+            (place.anchor, (place.anchor_T_newest, RECOGNISED_COVARIANCE)) for place in recognised
+        ]
         places_to_try = []
-        for anchor, known in zip(anchors, graph.relatives(anchors, newest), strict=True):
+        for anchor, known in tried:
             near = range(max(0, anchor - half), min(newest, anchor + half + 1))
             middle = keyframes[anchor].number
             target = [k for k in near if abs(keyframes[k].number - middle) <= half]
             old = self._submap(keyframes, graph, target, anchor)
-            places_to_try.append(PlaceCandidate(anchor, old, query, *known))
+            places_to_try.append(PlaceCandidate(anchor, old, query, *known, quick))
         return places_to_try
 
     def _candidate(

@@ -1,0 +1,103 @@
+"""`slam bench situations`: drives that break maps, each with its trait, without it, and raw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from slam.drivers.simulators.situations import SITUATIONS, situation_drive
+from slam.logs.trajectory import Trajectory, compose
+
+from benchmarks.buildings import judged_closures
+from benchmarks.drive_book import program_sha256
+from benchmarks.result_book import ResultBook
+from slam.evaluation.metrics import align
+from slam.mapping.config import SlamConfig
+from slam.runs.errors import SlamError
+from slam.runs.offline import Result, run_offline
+
+SEEDS = 3
+SLOW = ("long-loop",)  # left out of the quick campaign
+KEY = ("situation", "seed", "trait")
+
+
+def bench_situations(
+    out: Path,
+    quick: bool,
+    say: Callable[[str], None],
+    names: Sequence[str] = (),
+    config: SlamConfig | None = None,
+) -> dict[str, Any]:
+    """Every situation (or `names` alone) with three seeds; one and no slow drives with `quick`.
+
+    Results are kept in `out`/situations.jsonl: the same command goes on where it was stopped.
+    """  # fmt: skip
+    config = config or SlamConfig()
+    names = names or [name for name in SITUATIONS if not (quick and name in SLOW)]
+    what = {"config_sha256": config.sha256(), "program_sha256": program_sha256()}
+    book = ResultBook(out / "situations.jsonl", what, KEY)
+    seeds = range(1, (1 if quick else SEEDS) + 1)
+    for name in names:
+        for seed in seeds:
+            for trait in (True, False):
+                if (name, seed, trait) not in book.results:
+                    result = drive(name, seed, trait, config)
+                    say(" ".join(f"{key}={value}" for key, value in result.items()))
+                    book.add(result)
+    return {"meta": what, "rows": [_row(name, seeds, book) for name in names]}
+
+
+def drive(name: str, seed: int, trait: bool, config: SlamConfig) -> dict[str, Any]:
+    """One drive: errors of map and wheels (m), closures, what the wheels are blamed for."""
+    begun = time.perf_counter()
+    case = {"situation": name, "seed": seed, "trait": trait}
+    try:
+        result = run_offline(partial(situation_drive, name, seed, trait), config)
+    except SlamError as error:
+        return {**case, "failed": str(error)}
+    truth = {m.stamp_ns: (m.x, m.y, m.theta) for m in result.truth}
+    keyframes = np.array([truth[int(stamp)] for stamp in result.keyframes.stamps_ns])
+    return {
+        **case,
+        "failed": "",
+        "ate_m": round(ate(result.trajectory, truth), 4),
+        "raw_ate_m": round(ate(result.odometry, truth), 4),
+        "keyframes": len(keyframes),
+        **judged_closures(result, keyframes),
+        "odometry_refused": refused(result),
+        "named": dict(sorted(result.slam.odometry_faults.items())),
+        "wall_s": round(time.perf_counter() - begun, 1),
+    }
+
+
+def ate(trajectory: Trajectory, truth: dict[int, tuple[float, float, float]]) -> float:
+    """Root mean square error of position after a rigid alignment, m."""
+    true = np.array([truth[int(stamp)] for stamp in trajectory.stamps_ns])
+    offsets: NDArray[np.float64] = compose(align(trajectory.poses, true), trajectory.poses) - true
+    return float(np.sqrt(np.mean(np.sum(offsets[:, :2] ** 2, axis=1))))
+
+
+def refused(result: Result) -> int:
+    """Steps whose odometry was left out of the graph."""
+    return sum(f.kind == "odometry" and not f.used for f in result.slam.records.factors)
+
+
+def _row(name: str, seeds: Sequence[int], book: ResultBook) -> dict[str, Any]:
+    odd = [book.results[name, seed, True] for seed in seeds]
+    plain = [book.results[name, seed, False] for seed in seeds]
+    return {
+        "situation": name,
+        "ate_m": [r.get("ate_m") for r in odd],
+        "without_m": [r.get("ate_m") for r in plain],
+        "raw_m": [r.get("raw_ate_m") for r in odd],
+        "closures": sum(r.get("closures", 0) for r in odd),
+        "false_closures": sum(r.get("false_closures", 0) for r in odd),
+        "odometry_refused": sum(r.get("odometry_refused", 0) for r in odd),
+        "refused_without": sum(r.get("odometry_refused", 0) for r in plain),
+        "failed": "; ".join(sorted({r["failed"] for r in odd if r["failed"]})),
+    }
