@@ -110,7 +110,7 @@ def test_whoever_has_moved_beyond_a_limit_becomes_a_keyframe(x, y, theta, second
     [
         ({"min_interval": 2.0, "max_interval": 1.0}, "min_interval must not exceed"),
         ({"t_low": 3.0, "t_high": 3.0}, "t_low must be below t_high"),
-        ({"narrowest": 0.9}, "narrowest must be below widest"),
+        ({"widest": 0.12}, "widest\n.*greater than 0.125"),
     ],
 )
 def test_limits_must_be_in_order(settings, message):
@@ -122,4 +122,5 @@ def test_an_open_chain_is_built_with_more_care():
     closed = KeyframeConfig()
     assert closed.open.tolerance < closed.tolerance
     assert closed.open.widest < closed.widest
-    assert closed.open.open == closed.open
+    assert closed.open.tolerance == 0.25 * closed.tolerance
+    assert closed.open.interval == closed.interval
