@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, part
+from slam.frontend.correspondence_kernels import bearing_of
 from slam.frontend.covariance_kernels import own_information
-from slam.frontend.icp_kernels import FEIGNED, SYSTEM, bearing_of
+from slam.frontend.match_arrays import SPURIOUS, SYSTEM
 from slam.frontend.scan_kernels import LINE, VALID
 from slam.frontend.scatter_kernels import add_outer
 
@@ -128,9 +129,9 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
         system[3] += ny * ny
         system[4] += ny * turn
         system[5] += turn * turn
-        system[FEIGNED] += lines[at, 3] * ny * ny
-        system[FEIGNED + 1] -= lines[at, 3] * nx * ny
-        system[FEIGNED + 2] += lines[at, 3] * nx * nx
+        system[SPURIOUS] += lines[at, 3] * ny * ny
+        system[SPURIOUS + 1] -= lines[at, 3] * nx * ny
+        system[SPURIOUS + 2] += lines[at, 3] * nx * nx
         scale = np.sqrt(now * now + shared * then * then)
         add_outer(gradient, 1.0, scale * nx, scale * ny, scale * turn)
         paired += 1

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from slam.frontend.align_kernels import align
-from slam.frontend.alternatives import find_pose
+from slam.frontend.degeneracy import is_degenerate
 from slam.frontend.match_types import MatchConfig, MatchResult, Matrix, Prior, Reference, Triple
+from slam.frontend.other_methods import find_pose
 from slam.frontend.scan import PreparedScan
 
 # An iteration that still swings by a few tolerances stands well within the bias floor.
@@ -99,8 +100,8 @@ def _align(
         x, y, theta, information, covariance, last_step, iterations, axis, condition_ratio,
         pairs, inliers, paired, fitting, tried, cost, weight,
     ) = align(
-        source.points, source.lines, source.flags, source.geometry, *stack,
-        *start, *centre, known, prior is not None, passes, others, *config.limits,
+        (source.points, source.lines, source.flags, source.geometry), stack, start,
+        (centre, known, prior is not None), passes, others, config.limits,
     )  # fmt: skip
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
@@ -112,13 +113,13 @@ def _align(
         reason = f"only {100 * pair_inlier_fraction:.0f} % of the pairs fit"
     return MatchResult(
         Pose2(x, y, theta), information, covariance, pairs, pair_inlier_fraction, paired / tried,
-        fitting / tried, math.sqrt(cost / weight), axis if condition_ratio > 1.0 else None,
+        fitting / tried, math.sqrt(cost / weight), axis if is_degenerate(condition_ratio) else None,
         condition_ratio, iterations, not reason, reason,
     )  # fmt: skip
 
 
 def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
-    """The references' arrays end to end, as the kernels take them."""
+    """The references end to end: the fields of `match_arrays.References`."""
     used = [r for r in references if r.scan.valid > 2]
     if not used:
         return None

@@ -17,7 +17,7 @@ from gtsam import Pose2
 from slam.frontend.align_kernels import align
 from slam.frontend.correlative import CorrelativeConfig, Window, build_field, search
 from slam.frontend.covariance_kernels import own_information
-from slam.frontend.icp_kernels import SYSTEM
+from slam.frontend.match_arrays import SYSTEM, References, Source
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
@@ -30,10 +30,16 @@ _PATIENCE_S = 120.0
 
 
 def compiled() -> bool:
-    """Whether the cache holds a matcher compiled since its source was last changed."""
+    """Whether the matcher has been compiled and kept, from the sources as they are."""
     source = Path(align.py_func.__code__.co_filename)
-    kept = Path(align.stats.cache_path).glob(f"{source.stem}.align-*.nbi")
-    return any(index.stat().st_mtime > source.stat().st_mtime for index in kept)
+    return kept_on_disk() and any(
+        Path(align.stats.cache_path).glob(f"{source.stem}.align-*.nbi")  # the folder is by sources
+    )
+
+
+def kept_on_disk() -> bool:
+    """Whether there is a cache at all, through which two processes can share their kernels."""
+    return align.stats.cache_path is not None
 
 
 @contextmanager
@@ -67,13 +73,11 @@ def compile_share() -> None:
     First those that the matcher needs last; the rest is for later.
     """
     scan = blank_scan()
-    starts, geometries, _ = scan.alone
-    places, partners = np.zeros((1, 3)), np.full((1, len(scan.points)), -1, np.int32)
-    gradient = np.zeros(6)
-    scatter(
-        scan.points, scan.geometry, scan.points, scan.lines, scan.windows, scan.flags, starts,
-        geometries, 0.01, places, places[0], partners, 0.04, gradient,
-    )  # fmt: skip
+    poses, gradient = np.zeros((1, 3)), np.zeros(6)
+    pairs = np.full((1, len(scan.points)), -1, np.int32)
+    source = Source(scan.points, scan.lines, scan.flags, scan.geometry)
+    references = References(scan.points, scan.lines, scan.windows, scan.flags, *scan.alone, poses)
+    scatter(source, references, poses[0], pairs, 0.04, 0.01, gradient)
     own_information(np.zeros(SYSTEM), gradient, 1e-4, 0.0, 0.0, np.empty((3, 3)))
     room = measure_room(0, 0.0)
     seen = prepare(room, LaserExtrinsics(0, 0.0, 0.0, 0.0), ScanConfig())
