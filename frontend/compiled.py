@@ -8,8 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numba
 from numba import njit
 from numba.core.registry import CPUDispatcher
+from slam.frontend.kernel_cache import cache_folder
 
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -36,16 +38,16 @@ class _Part(CPUDispatcher):
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls; it may allocate arrays."""
-    return njit(cache=True, **_OPTIONS)(function)
+    return _kept(function, _OPTIONS)
 
 
 def bare_kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls and that only works on the arrays it is given.
 
     Without numba's run time no array is counted as used and released again: two atomic
-    operations an array and call, which cost more than the search for a partner.
+    operations an array and call, which cost more than the search for a correspondence.
     """
-    return njit(cache=True, **_BARE)(function)
+    return _kept(function, _BARE)
 
 
 def part(function: Callable[..., Any]) -> Any:
@@ -70,3 +72,19 @@ def merged(function: Callable[..., Any]) -> Any:
     itself and once more for every function above it.
     """
     return _Part(function, {**_BARE, "inline": "always"})
+
+
+def _kept(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Compile a function and keep it in the folder for the sources as they are, if there is one."""
+    folder = cache_folder()
+    if folder is None:
+        return njit(**options)(function)
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    try:
+        made = njit(cache=True, **options)(function)
+    except RuntimeError:  # the folder was there a moment ago
+        return njit(**options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    in_folder = str(made.stats.cache_path).startswith(str(folder))
+    return made if in_folder else njit(**options)(function)

@@ -8,6 +8,7 @@ from slam.runs.compiling.second_process import (
     compile_matcher,
     compiled,
     compiling_in_second_process,
+    kept_on_disk,
 )
 from slam.runs.compiling.simulated_room import measure_room
 from slam.runs.offline import run_offline
@@ -18,11 +19,11 @@ _SCANS = 40
 
 
 def warm_up(config: SlamConfig) -> None:
-    """Map an imaginary room; takes some 20 s the first time, and half a second ever after.
+    """Map an imaginary room; takes some 20 s the first time, and half a second after that.
 
     The room is driven to and fro once; a leap of the odometry calls for the search.
     """
-    if usable_cores() > 1 and not compiled():
+    if usable_cores() > 1 and kept_on_disk() and not compiled():
         with compiling_in_second_process():
             compile_matcher()
     run_offline(lambda: _drive(), _in_the_room(config))

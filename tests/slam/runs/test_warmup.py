@@ -65,7 +65,8 @@ def test_no_kernel_is_compiled_for_two_kinds_of_arrays(tmp_path):
     # On one core, in one process: two may both compile the same kernel and number it anew.
     program = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        "from slam.config import SlamConfig; from slam.compiling.warmup import warm_up\n"
+        "from slam.mapping.config import SlamConfig\n"
+        "from slam.runs.compiling.warmup import warm_up\n"
         "warm_up(SlamConfig())"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
