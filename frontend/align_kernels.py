@@ -1,4 +1,4 @@
-"""The whole point-to-line match in one compiled call: all starts and passes, and their worth."""
+"""The whole point-to-line match in one compiled call: all starts and passes, and the result."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def align(source, references, start, prior, passes, others, limits):
             scan, stack, pose, PriorTerm(centre, known), passes, limit, work, squares
         )
     else:
-        rival = Workspace(both[1], rows[6], transforms, scratch, work.direction, work.strongest)
+        spare = Workspace(both[1], rows[6], transforms, scratch, work.direction, work.strongest)
         size, count = run_passes_from_many(
-            scan, stack, pose, passes, others, limit, work, rival, squares
+            scan, stack, pose, passes, others, limit, work, spare, squares
         )
     surplus = scatter(
         scan, stack, pose, work.pairs, passes[len(passes) - 1, 1], limit.noise, gradient
@@ -108,7 +108,7 @@ def align(source, references, start, prior, passes, others, limits):
     )
 
 
-@part
+@merged
 def level_of(passes, k, beams, limits):
     """Pass k of `passes`, for a source of so many beams."""
     wanted = int(passes[k, 3])
@@ -133,7 +133,7 @@ def run_passes(source, references, pose, prior, passes, limits, work):
 
 @merged
 def run_passes_with_prior(source, references, pose, prior, passes, limits, work, squares):
-    """Settle `pose` (3,) with a prior; `squares` (3, 3, 3) is scratch but for its first."""
+    """Find `pose` (3,) with a prior; `squares` (3, 3, 3) is scratch but for its first."""
     noise, direction, system = limits.noise, work.direction, work.system
     held = PriorTerm(squares[2, 0], squares[1])
     copy(prior.pose, held.pose)
@@ -162,11 +162,11 @@ def run_passes_with_prior(source, references, pose, prior, passes, limits, work,
 
 
 @merged
-def run_passes_from_many(source, references, pose, passes, others, limits, work, rival, squares):
-    """Settle `pose` (3,) with no prior, from other starts as well if the outcome is poor.
+def run_passes_from_many(source, references, pose, passes, others, limits, work, spare, squares):
+    """Find `pose` (3,) with no prior, from other starts as well if the outcome is poor.
 
-    Nothing vouches for the guess then: it may have been caught on the way.  The second of
-    `squares` (3, 3, 3) is zero, for no prior pulls; the third and `rival` are scratch.
+    Nothing supports the guess then, and the iteration may end in a local minimum.  The second of
+    `squares` (3, 3, 3) is zero, for there is no prior; the third and `spare` are scratch.
     """
     guess, trial, best = squares[2, 0], squares[2, 1], squares[2, 2]
     copy(pose, guess)
@@ -186,17 +186,17 @@ def run_passes_from_many(source, references, pose, passes, others, limits, work,
         else:
             break
         few = passes[1:] if refining else passes[:COARSE]
-        used_size, used = run_passes(source, references, trial, free, few, limits, rival)
-        found = share_that_fits(rival.system, limits.min_pairs)
+        used_size, used = run_passes(source, references, trial, free, few, limits, spare)
+        found = share_that_fits(spare.system, limits.min_pairs)
         if not refining:
             if found > best_inlier_fraction:
                 copy(trial, best)
                 best_inlier_fraction = found
         elif found > inlier_fraction:
             copy(trial, pose)
-            copy(rival.system, work.system)
+            copy(spare.system, work.system)
             for ref in range(len(work.pairs)):
-                copy(rival.pairs[ref], work.pairs[ref])
+                copy(spare.pairs[ref], work.pairs[ref])
             size, count = used_size, used
     return size, count
 

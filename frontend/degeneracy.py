@@ -50,8 +50,8 @@ HEADING_RIDGE = 1e-3
 DEGENERATE_RATIO = 1.0
 LEAST_INFORMATION = 1e-12  # 1/m^2, in place of none at all: a sigma of 1000 km
 
-# Of a loop closure, which has no prior worth the name: here the sigma itself counts, in m.
-# Larger than any match of a place with features has, smaller than a wall's length makes likely.
+# Of a loop closure, whose prior is only a seed: here the sigma itself counts, in m.  Matches of
+# places with features have millimetres; those that slide along a wall have centimetres and more.
 UNSEEN_SIGMA_M = 0.02
 # Ratio of sigmas, weak over strong, from which it is asked from which side the place was seen.
 # Not PROOF_RATIO (2.2 as a ratio of sigmas): that starts a test that measures, this one starts a
@@ -61,7 +61,7 @@ BOTH_SIDES_SHARE = 0.5  # of the nearer points between both lasers: most of what
 NEAR_M = 10.0  # m, points that decide from which side a place is seen
 
 
-@inlined
+@merged
 def taken_by_heading(xt, yt, tt):
     """Information (xx, xy, yy) that the translation loses because the heading is unknown too."""
     turn = max(tt, 1e-300)
@@ -150,8 +150,8 @@ def is_degenerate(condition_ratio: float) -> bool:
 def well_constrained(information: Matrix, sigma: float) -> bool:
     """Whether every translation is known to better than `sigma` (m) where the heading is known.
 
-    The heading is *not* marginalised: asked of an edge that alone ties a map to another, whose
-    heading a laser always sees; what may be loose is the way along a corridor.
+    The heading is *not* marginalised: this is asked of the one edge that connects two maps, whose
+    heading a laser always sees; what may be open is the position along a corridor.
 
     Args:
         information: (3, 3) of (x, y, theta).
