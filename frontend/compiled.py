@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 from numba import njit
 from numba.core.registry import CPUDispatcher
-from slam.frontend.kernel_cache import cache_folder
+from slam.frontend.kernel_cache import NUMBA, cache_folder
 
 _OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -79,12 +78,12 @@ def _kept(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     folder = cache_folder()
     if folder is None:
         return njit(**options)(function)
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder)
     try:
         made = njit(cache=True, **options)(function)
     except RuntimeError:  # the folder was there a moment ago
         return njit(**options)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        NUMBA.CACHE_DIR = before
     in_folder = str(made.stats.cache_path).startswith(str(folder))
     return made if in_folder else njit(**options)(function)

@@ -20,10 +20,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-import numba
 import numpy as np
+from numba import __version__ as numba_version
+from numba import config
 
+NUMBA: Any = config  # its settings are made of the environment, unseen by type checkers
 KEPT = 3  # folders of other sources or versions that stay, for those who switch to and fro
 _PREFIX = "kernels-"
 _HERE = Path(__file__).parent
@@ -44,7 +47,7 @@ def kernel_sources(folder: Path) -> dict[str, bytes]:
 
 def source_key(folder: Path) -> str:
     """Hash of all kernels in `folder` and of what compiles them."""
-    versions = numba.__version__, np.__version__, platform.python_version(), platform.machine()
+    versions = numba_version, np.__version__, platform.python_version(), platform.machine()
     key = hashlib.sha256(repr(versions).encode())
     for name, text in kernel_sources(folder).items():
         key.update(f"{name} {len(text)}\n".encode())
@@ -74,8 +77,8 @@ def cache_folder() -> Path | None:
 
 
 def _bases() -> Iterator[Path]:
-    if numba.config.CACHE_DIR:
-        yield Path(numba.config.CACHE_DIR)
+    if NUMBA.CACHE_DIR:
+        yield Path(NUMBA.CACHE_DIR)
         return
     yield _HERE / "__pycache__"
     with suppress(RuntimeError):  # a user without a home

@@ -16,7 +16,7 @@ Triple = tuple[float, float, float]  # x (m), y (m), theta (rad)
 Method = Literal["point_to_line", "point_to_point", "ndt", "psm"]
 
 # The coarse pass, which brings a guess within reach of the last one.
-# Its gate is three sigmas of a poor odometry step (0.2 m); walls farther apart do not pair.
+# Its gate: three times an odometry error of 0.2 m; walls farther apart do not pair.
 COARSE_GATE_M = 0.6
 # Its robust scale: the error of the guess must still count in full.
 COARSE_SCALE_M = 0.2

@@ -1,4 +1,4 @@
-"""`match`: where was the robot, given what it sees now and what it saw before."""
+"""`match`: the motion between scans, by point-to-line ICP against several references at once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from slam.frontend.scan import PreparedScan
 # An iteration that still swings by a few tolerances stands well within the bias floor.
 CONVERGED_TOLERANCES = 10.0
 
-# Other starts about a guess that nothing vouches for: turned, or moved along or across.
+# Other starts about a guess that nothing supports: turned, or moved along or across.
 OTHER_STARTS = np.array(
     [
         *((0.0, 0.0, turn) for turn in (0.21, -0.21, 0.42, -0.42)),
@@ -28,7 +28,7 @@ OTHER_STARTS = np.array(
 NO_STARTS = np.empty((0, 3))
 
 _NO_INFORMATION = np.zeros((3, 3))
-# What stands in for a missing prior: a metre and a radian know nothing, but keep matrices regular.
+# In place of a missing prior: 1 m and 1 rad carry no information but keep matrices regular.
 _IGNORANCE = np.eye(3)
 
 
@@ -42,7 +42,7 @@ def match(
     """Align `source` to all references at once, starting from `guess` (target_T_source).
 
     A refused match is an outcome: `converged` is False and `reason` says why; the pose is then
-    the guess.  With a prior, an axis that the scans do not see keeps what the prior says.
+    the guess.  With a prior, a direction that the scans do not constrain keeps the prior's value.
     """
     start = guess.x(), guess.y(), guess.theta()
     if not math.isfinite(sum(start)):

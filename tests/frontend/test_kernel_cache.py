@@ -77,9 +77,9 @@ def test_what_cannot_be_written_is_no_error(copy, tmp_path):
 
 
 def test_a_folder_that_the_user_names_is_the_only_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(kernel_cache.numba.config, "CACHE_DIR", str(tmp_path / "mine"))
+    monkeypatch.setattr(kernel_cache.NUMBA, "CACHE_DIR", str(tmp_path / "mine"))
     assert cache_folder.__wrapped__().parent == tmp_path / "mine"
-    monkeypatch.setattr(kernel_cache.numba.config, "CACHE_DIR", "/dev/null/none")
+    monkeypatch.setattr(kernel_cache.NUMBA, "CACHE_DIR", "/dev/null/none")
     assert cache_folder.__wrapped__() is None
 
 
@@ -103,7 +103,7 @@ def test_kernels_are_made_of_nothing_outside_this_folder():
 
 
 def test_folders_of_old_sources_go_when_there_is_a_new_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(kernel_cache.numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernel_cache.NUMBA, "CACHE_DIR", str(tmp_path))
     old = [tmp_path / f"kernels-{k}" for k in range(KEPT + 2)]
     for age, folder in enumerate(old):
         (folder / "inside").mkdir(parents=True)
