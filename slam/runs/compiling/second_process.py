@@ -1,6 +1,6 @@
 """Compiles half of the kernels in a second process, whose program this module is.
 
-Both leave what they compile in the cache on disk, where each finds what the other has made.
+Both keep what they compile in the cache on disk, where each finds what the other has compiled.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def kept_on_disk() -> bool:
 def compiling_in_second_process() -> Iterator[None]:
     """Have a second process compile its share meanwhile, and wait for it at the end.
 
-    Whatever becomes of it: what it leaves undone is compiled at its first use.
+    If it fails, what is missing is compiled at its first use.
     """
     quiet = subprocess.DEVNULL
     child = subprocess.Popen(
@@ -62,15 +62,15 @@ def compiling_in_second_process() -> Iterator[None]:
 
 
 def compile_matcher() -> None:
-    """Compile all that a match needs; it is refused."""
+    """Compile all that a match needs, by a match that is refused."""
     scan = blank_scan()
     match([Reference(Pose2(), scan)], scan, Pose2(), MatchConfig())
 
 
 def compile_share() -> None:
-    """Call each kernel of this share as the pipeline and the matcher do.
+    """Call each kernel of this share with the types that the mapping and the matcher use.
 
-    First those that the matcher needs last; the rest is for later.
+    First those that the matcher needs last, then the kernels that come after it.
     """
     scan = blank_scan()
     poses, gradient = np.zeros((1, 3)), np.zeros(6)
@@ -87,9 +87,9 @@ def compile_share() -> None:
 
 
 def blank_scan(beams: int = 20) -> PreparedScan:
-    """A scan that saw nothing, though it claims to, with arrays of the kinds that `prepare` makes.
+    """A scan without points that claims to have some, with arrays of the types of `prepare`.
 
-    With it the matcher compiles before the kernels that prepare a scan have.
+    With it the matcher is compiled before the kernels that prepare a scan are.
     """
     points, lines = np.full((beams, 2), np.nan), np.zeros((beams, 5))
     windows, flags = np.zeros((beams, 2), np.int32), np.zeros(beams, np.uint8)
