@@ -16,7 +16,7 @@ from slam.backend.edges import Edge, GraphError, Matrix, residuals
 SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
 ANCHOR_SIGMA = 1e-3  # m and rad: the first pose defines the map frame, so it is held
 OUTLIER = 0.5  # a loop of less weight is left out
-COARSE, FINE = 1e-4, 1e-6  # relative change of the error that ends a rival, and the last word
+COARSE, FINE = 1e-4, 1e-6  # relative change of the error that ends an alternative, and the last run
 NARROWING = ((30.0, 8), (10.0, 8), (3.0, 50))  # kernel in sigmas, iterations
 
 _ESTIMATORS = gtsam.noiseModel.mEstimator
@@ -50,7 +50,7 @@ class BatchResult:
 
     poses: Matrix  # (n, 3) [x, y, theta] of map_T_k
     loop_weights: dict[int, float]  # index into the edges -> weight, 0 to 1
-    error_before: float  # half the weighted squared error of the believed edges, robust
+    error_before: float  # half the weighted squared error of the accepted edges, robust
     error_after: float
 
 
@@ -108,7 +108,7 @@ class FactorMaker:
         sigma = np.array([self.config.match_sigma_trans] * 2 + [self.config.match_sigma_rot])
         if edge.kind == "odometry" or not (sigma > 0).all():
             return edge.information
-        # (C + S^2)^-1 = (1 + H S^2)^-1 H, in the units of S; H may be blind on an axis.
+        # (C + S^2)^-1 = (1 + H S^2)^-1 H, in the units of S; H may be degenerate.
         values, vectors = np.linalg.eigh(edge.information * np.outer(sigma, sigma))
         values = np.maximum(values, 0.0)
         shrunk = (vectors * (values / (1.0 + values))) @ vectors.T
@@ -163,11 +163,11 @@ def values_of(poses: Matrix) -> gtsam.Values:
 def optimise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> BatchResult:
     """Optimise everything from `poses` (n, 3); keyframe 0 is held where it is.
 
-    Where the graph that believes all loops contradicts some, plain least squares and two
+    Where the graph with all loops disagrees with some, plain least squares and two
     optimisations that can let go of loops are tried as well (dynamic covariance scaling, Agarwal
     et al. 2013; Geman-McClure with a kernel that narrows step by step, after Yang et al. 2020);
-    none wins always, so the one with the smallest truncated cost is taken.  Loops that
-    contradict it are left out, and the rest decides.
+    none is always best, so the one with the smallest truncated cost is taken.  Loops that
+    contradict it are left out, and the rest is optimised once more.
 
     Raises:
         GraphError: the optimiser gave up, which a graph with near-singular edges can cause.
@@ -175,25 +175,25 @@ def optimise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> BatchR
     config = maker.config
     loops = [k for k, edge in enumerate(edges) if edge.kind == "loop"]
     try:
-        settled = _descend(poses, edges, maker, None)
+        optimised = _descend(poses, edges, maker, None)
         weights = dict.fromkeys(loops, 1.0)
-        if config.reject_loops and (chi_squares(settled, edges, maker)[loops] > SUSPICIOUS).any():
+        if config.reject_loops and (chi_squares(optimised, edges, maker)[loops] > SUSPICIOUS).any():
             # Plain least squares takes part: from a bad start only it pulls hard enough.
             alternatives = [
-                settled,
+                optimised,
                 _descend(poses, edges, maker, None, iterations=10, robust=False),
             ]
             alternatives += [_descend(poses, edges, maker, _ESTIMATORS.DCS.Create(1.0))]
             alternatives += [_narrowing(poses, edges, maker)]
-            settled = min(alternatives, key=lambda found: truncated_cost(found, edges, maker))
-            settled = _descend(settled, _believed(settled, edges, maker), maker, None)
-            chi = chi_squares(settled, edges, maker)
+            optimised = min(alternatives, key=lambda found: truncated_cost(found, edges, maker))
+            optimised = _descend(optimised, _consistent(optimised, edges, maker), maker, None)
+            chi = chi_squares(optimised, edges, maker)
             weights = {k: float(chi[k] <= SUSPICIOUS) for k in loops}
         accepted_edges = [e for k, e in enumerate(edges) if weights.get(k, 1.0) >= OUTLIER]
         graph = maker.graph(Pose2(*poses[0]), accepted_edges, robust=True)
         before = float(graph.error(values_of(poses)))
         values = gtsam.LevenbergMarquardtOptimizer(
-            graph, values_of(settled), _lm(50, FINE)
+            graph, values_of(optimised), _lm(50, FINE)
         ).optimize()
         after = float(graph.error(values))
     except RuntimeError as error:
@@ -234,7 +234,7 @@ def _narrowing(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> Matr
     return poses
 
 
-def _believed(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> list[Edge]:
+def _consistent(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> list[Edge]:
     chi = chi_squares(poses, edges, maker)
     return [e for e, c in zip(edges, chi, strict=True) if e.kind != "loop" or c <= SUSPICIOUS]
 

@@ -76,8 +76,8 @@ class Edge:
 def residuals(poses: Matrix, edges: Sequence[Edge]) -> Matrix:
     """(edges, 3) what `Edge.residual` gives for each, all at once."""
     i, j = (np.array([getattr(edge, end) for edge in edges], dtype=np.int64) for end in "ij")
-    told = [(e.i_T_j.x(), e.i_T_j.y(), e.i_T_j.theta()) for e in edges]
-    measured = np.array(told).reshape(-1, 3)
+    measured = np.array([(e.i_T_j.x(), e.i_T_j.y(), e.i_T_j.theta()) for e in edges])
+    measured = measured.reshape(-1, 3)
     return _logmap(_between(measured, _between(poses[i], poses[j])))
 
 

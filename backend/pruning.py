@@ -1,6 +1,6 @@
-"""Leave poses out of a graph: what tied them is handed on to those that stay.
+"""Leave poses out of a graph: their constraints are handed on to those that stay.
 
-The exact way would tie all neighbours of a pose that goes to one another, and the graph would
+The exact way would connect all neighbours of a pose that goes to one another, and the graph would
 fill up.  Each pose gives one edge to every later neighbour instead, as a graph for which old
 places suffice needs no more (cf. Kretzschmar and Stachniss 2012, "Information-theoretic
 compression of pose graphs for laser-based SLAM").
@@ -65,18 +65,16 @@ class Pruned:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Tie:
-    """What several edges say together of one relative pose."""
+class _Constraint:
+    """What several edges know together of one relative pose."""
 
     i_T_j: Pose2
     information: Matrix  # (3, 3), in frame j
     agrees: bool  # with where the graph has both
-    well_constrained: (
-        bool  # without the odometry's word, which may be a lie, it would not be much weaker
-    )
+    well_constrained: bool  # without the odometry, which may be wrong, it is not much weaker
 
     @property
-    def knowledge(self) -> float:
+    def log_det(self) -> float:
         """Logarithm of the information's determinant."""
         return float(np.linalg.slogdet(self.information)[1])
 
@@ -89,8 +87,8 @@ def prune(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Wei
     """The graph without the poses `gone`.
 
     From the earlier neighbour that knows best where such a pose is, new edges lead to its later
-    ones; what the other earlier neighbours say of it is given up.  With one later neighbour the
-    rest of the graph is never better known than before; several share what the first one says.
+    ones; what the other earlier neighbours know of it is given up.  With one later neighbour the
+    rest of the graph is never better known than before; several share what the first one knows.
 
     Args:
         edges: each from an earlier pose to a later one (i < j).
@@ -107,11 +105,11 @@ def prune(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Wei
         before = _by_end([edge for edge in touched if edge.i != v and edge.i not in leaving], "i")
         after = _by_end([edge for edge in touched if edge.i == v], "j")
         anchors[v] = min(before, key=lambda i: (float(np.hypot(*(poses[i] - poses[v])[:2])), i))
-        first, tie = _best({i: _combined(told, poses, weight) for i, told in before.items()})
-        for j, told in after.items():
-            through = _joined(tie, _combined(told, poses, weight))
+        first, nearest = _best({i: _combined(group, poses, weight) for i, group in before.items()})
+        for j, group in after.items():
+            through = _joined(nearest, _combined(group, poses, weight))
             kind: Kind = "icp" if through.well_constrained else "odometry"
-            if all(edge.kind == "loop" for edge in told):
+            if all(edge.kind == "loop" for edge in group):
                 kind = "loop"
             new = through.edge(kind, first, j)
             if j in leaving:
@@ -131,13 +129,13 @@ def _by_end(edges: Sequence[Edge], end: str) -> dict[int, list[Edge]]:
     return groups
 
 
-def _best(ties: dict[int, _Tie]) -> tuple[int, _Tie]:
-    """The one that knows most, of those that the graph does not contradict if there are any."""
-    return max(ties.items(), key=lambda item: (item[1].agrees, item[1].knowledge))
+def _best(constraints: dict[int, _Constraint]) -> tuple[int, _Constraint]:
+    """The most informative one, of those that the graph does not contradict if there are any."""
+    return max(constraints.items(), key=lambda item: (item[1].agrees, item[1].log_det))
 
 
-def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Tie:
-    """What edges between the same two poses say together."""
+def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Constraint:
+    """What edges between the same two poses know together."""
     known = Pose2(*poses[edges[0].i]).between(Pose2(*poses[edges[0].j]))
     total, pull, matched = _RIDGE * np.eye(3), np.zeros(3), np.zeros((3, 3))
     for edge in edges:
@@ -149,14 +147,14 @@ def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Tie:
     error = np.linalg.solve(total, pull)
     well_constrained = np.linalg.eigvalsh(matched)[0] > 0.5 * np.linalg.eigvalsh(total)[0]
     agrees = float(error @ total @ error) <= SUSPICIOUS
-    return _Tie(known * Pose2.Expmap(error), total, agrees, bool(well_constrained))
+    return _Constraint(known * Pose2.Expmap(error), total, agrees, bool(well_constrained))
 
 
-def _joined(a: _Tie, b: _Tie) -> _Tie:
-    """One tie behind the other."""
+def _joined(a: _Constraint, b: _Constraint) -> _Constraint:
+    """One constraint behind the other."""
     back = b.i_T_j.inverse().AdjointMap()
     covariance = back @ np.linalg.inv(a.information) @ back.T + np.linalg.inv(b.information)
-    return _Tie(
+    return _Constraint(
         a.i_T_j * b.i_T_j,
         np.linalg.inv(covariance),
         a.agrees and b.agrees,

@@ -1,18 +1,15 @@
-"""The whole point-to-line match in one compiled call: all starts and passes, and their worth."""
+"""The whole point-to-line match in one compiled call: all starts and passes, and the result."""
 
 from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, merged, part
-from slam.frontend.covariance_kernels import combine, invert3, own_information, weakest_direction
-from slam.frontend.evidence_kernels import (
-    DOUBTED_PAIRS,
-    TRUSTED_SHARE,
-    discount_weak_axis,
-    step_back,
-)
-from slam.frontend.heading_kernels import doubt_heading
-from slam.frontend.icp_kernels import (
+from slam.frontend.covariance_kernels import combine, invert3, own_information
+from slam.frontend.degeneracy import STRONGEST_PAIRS, TRUSTED_SHARE, weakest_direction
+from slam.frontend.evidence_kernels import discount_weak_direction, step_back
+from slam.frontend.heading_kernels import discount_heading
+from slam.frontend.icp_kernels import gauss_newton
+from slam.frontend.match_arrays import (
     COST,
     FITTING,
     INLIERS,
@@ -21,141 +18,73 @@ from slam.frontend.icp_kernels import (
     SYSTEM,
     TRIED,
     WEIGHT,
-    gauss_newton,
+    Limits,
+    Pass,
+    PriorTerm,
+    References,
+    Source,
+    Workspace,
 )
 from slam.frontend.scatter_kernels import scatter
 
 COARSE = 2  # passes after which other starts are compared
+ATTEMPTS = 3  # runs with a prior: one free, one from where the prior puts it, one held there
 
 
 @kernel
-def align(
-    source_points,
-    source_lines,
-    source_flags,
-    source_geometry,
-    points,
-    lines,
-    windows,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    x,
-    y,
-    theta,
-    prior_x,
-    prior_y,
-    prior_theta,
-    prior_covariance,
-    has_prior,
-    passes,
-    others,
-    noise,
-    variance,
-    floor_trans,
-    floor_rot,
-    iterations,
-    min_pairs,
-    good_inlier_fraction,
-):
-    """Align from target_T_source = (x, y, theta), and judge the outcome.
+def align(source, references, start, prior, passes, others, limits):
+    """Align from `start`, target_T_source as (x, y, theta), and judge the outcome.
 
-    `passes` (k, 4) holds gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each
-    pass, `others` (m, 3) the starts about the guess that are tried when less than
-    `good_inlier_fraction` of the beams fit; with a prior there are none.  Without
-    a prior, `prior_covariance` only completes the covariance of blind axes.
+    Args:
+        source: the fields of `Source`.
+        references: the fields of `References`.
+        start: (x, y, theta).
+        prior: ((x, y, theta), covariance (3, 3), given): pose and its error, and whether there is
+            one; if not, the covariance only completes that of degenerate directions.
+        passes: (k, 4) gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass.
+        others: (m, 3) starts about the guess, tried when less than `good_inlier_fraction` of the
+            beams fit; with a prior there are none.
+        limits: the fields of `Limits`.
 
-    Returns the pose (x, y, theta), information and covariance (3, 3), size of the last step (m),
-    iterations, weak axis (rad), weakness, and of the sums: pairs, inliers, beams paired, fitting
-    and tried, cost, weight.
+    Returns:
+        The pose (x, y, theta), information and covariance (3, 3), size of the last step (m),
+        iterations, weak direction (rad), condition ratio, and of the sums: pairs, inliers, beams
+        paired, fitting and tried, cost, weight.
     """
+    scan, stack, limit = Source(*source), References(*references), Limits(*limits)
+    at, prior_covariance, has_prior = prior
     # Few arrays of few kinds: each kind is compiled, and each array is paid for in every match.
-    references = len(starts) - 1
-    both = np.empty((2, references, len(source_points)), dtype=np.int32)
+    count_references = len(stack.starts) - 1
+    both = np.empty((2, count_references, len(scan.points)), dtype=np.int32)
     rows, squares = np.zeros((7, SYSTEM)), np.zeros((3, 3, 3))
-    partners, system, pose, gradient = both[0], rows[0], rows[1, :3], rows[2, :6]
-    pose[0], pose[1], pose[2] = x, y, theta
+    transforms, scratch = np.empty((count_references, 4)), np.empty((4, 6))
+    system, pose, gradient = rows[0], rows[1, :3], rows[2, :6]
+    work = Workspace(both[0], system, transforms, scratch, rows[4, :4], rows[5, :STRONGEST_PAIRS])
+    pose[0], pose[1], pose[2] = start
     known = squares[0]
     invert3(prior_covariance, known)
-    transforms, scratch = np.empty((references, 4)), np.empty((4, 6))
     if has_prior:
-        prior = rows[3, :3]
-        prior[0], prior[1], prior[2] = prior_x, prior_y, prior_theta
+        centre = rows[3, :3]
+        centre[0], centre[1], centre[2] = at
         size, count = run_passes_with_prior(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            pose,
-            prior,
-            known,
-            passes,
-            noise,
-            iterations,
-            partners,
-            transforms,
-            scratch,
-            system,
-            squares[1],
-            squares[2],
-            rows[4, :4],
-            rows[5, :DOUBTED_PAIRS],
+            scan, stack, pose, PriorTerm(centre, known), passes, limit, work, squares
         )
     else:
+        spare = Workspace(both[1], rows[6], transforms, scratch, work.direction, work.strongest)
         size, count = run_passes_from_many(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            pose,
-            passes,
-            others,
-            noise,
-            iterations,
-            min_pairs,
-            good_inlier_fraction,
-            partners,
-            transforms,
-            scratch,
-            system,
-            both[1],
-            rows[6],
-            squares[1],
-            squares[2],
+            scan, stack, pose, passes, others, limit, work, spare, squares
         )
     surplus = scatter(
-        source_points,
-        source_geometry,
-        points,
-        lines,
-        windows,
-        flags,
-        starts,
-        geometries,
-        noise,
-        poses,
-        pose,
-        partners,
-        passes[len(passes) - 1, 1],
-        gradient,
+        scan, stack, pose, work.pairs, passes[len(passes) - 1, 1], limit.noise, gradient
     )
     information, covariance = np.empty((3, 3)), np.empty((3, 3))
     own_information(
-        system, gradient, variance * max(surplus, 1.0), floor_trans, floor_rot, information
+        system,
+        gradient,
+        limit.variance * max(surplus, 1.0),
+        limit.floor_trans,
+        limit.floor_rot,
+        information,
     )
     combine(information, known, covariance)
     weakest, condition_ratio = weakest_direction(information, prior_covariance)
@@ -179,226 +108,73 @@ def align(
     )
 
 
-@part
-def run_passes(
-    source_points,
-    source_lines,
-    source_flags,
-    points,
-    lines,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    pose,
-    centre,
-    pull,
-    passes,
-    noise,
-    iterations,
-    partners,
-    transforms,
-    scratch,
-    system,
-):
-    """Run all passes from `pose` (3,), overwritten, with the prior `centre`, `pull`.
+@merged
+def level_of(passes, k, beams, limits):
+    """Pass k of `passes`, for a source of so many beams."""
+    wanted = int(passes[k, 3])
+    stride = max(1, beams // wanted) if wanted > 0 else 1
+    # Far pairs are wrong by as much as their pass allows: they push no harder against the prior
+    # than that.
+    noise = limits.noise * passes[k, 1] / passes[len(passes) - 1, 1]
+    return Pass(passes[k, 0], passes[k, 1], passes[k, 2], stride, noise, limits.iterations)
 
-    Fills partners and system; returns (size of the last step in m, iterations).
-    """
+
+@part
+def run_passes(source, references, pose, prior, passes, limits, work):
+    """Run all passes from `pose` (3,), overwritten; (size of the last step in m, iterations)."""
     size, count = 0.0, 0
-    finest = passes[len(passes) - 1, 1]
     for k in range(len(passes)):
-        beams = int(passes[k, 3])
-        partners[:] = -1  # beams that this pass leaves out have none
-        stride = max(1, len(source_points) // beams) if beams > 0 else 1
-        size, used = gauss_newton(
-            source_points,
-            source_lines,
-            source_flags,
-            stride,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            pose,
-            centre,
-            pull,
-            # Far pairs are wrong by as much as their pass allows: they push no harder
-            # against the prior than that.
-            noise * passes[k, 1] / finest,
-            passes[k, 0],
-            passes[k, 1],
-            iterations,
-            passes[k, 2],
-            partners,
-            transforms,
-            scratch,
-            system,
-        )
+        work.pairs[:] = -1  # beams that this pass leaves out have none
+        level = level_of(passes, k, len(source.points), limits)
+        size, used = gauss_newton(source, references, pose, prior, level, work)
         count += used
     return size, count
 
 
 @merged
-def run_passes_with_prior(
-    source_points,
-    source_lines,
-    source_flags,
-    points,
-    lines,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    pose,
-    prior,
-    known,
-    passes,
-    noise,
-    iterations,
-    partners,
-    transforms,
-    scratch,
-    system,
-    pull,
-    spots,
-    axis,
-    strongest,
-):
-    """Settle `pose` (3,) with a prior of information `known` (3, 3) about `prior` (3,).
-
-    `pull`, `spots` (3, 3), `axis` (4,) and `strongest` (DOUBTED_PAIRS,) are scratch.
-    """
-    centre = spots[0]
-    copy(prior, centre)
+def run_passes_with_prior(source, references, pose, prior, passes, limits, work, squares):
+    """Find `pose` (3,) with a prior; `squares` (3, 3, 3) is scratch but for its first."""
+    noise, direction, system = limits.noise, work.direction, work.system
+    held = PriorTerm(squares[2, 0], squares[1])
+    copy(prior.pose, held.pose)
     for k in range(3):
-        copy(known[k], pull[k])
+        copy(prior.information[k], held.information[k])
     begin, last, total, size = 0, len(passes) - 1, 0, 0.0
-    for attempt in range(3):
-        size, count = run_passes(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            pose,
-            centre,
-            pull,
-            passes[begin:],
-            noise,
-            iterations,
-            partners,
-            transforms,
-            scratch,
-            system,
-        )
+    final = level_of(passes, last, len(source.points), limits)
+    for attempt in range(ATTEMPTS):
+        size, count = run_passes(source, references, pose, held, passes[begin:], limits, work)
         total += count
-        share = discount_weak_axis(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            pose,
-            passes[last, 0],
-            passes[last, 1],
-            partners,
-            system,
-            axis,
-            strongest,
-        )
+        share = discount_weak_direction(source, references, pose, final, work)
         # Where the scans only seem to know, the pose goes back to the prior, and is held there
         # if it slides off again.
-        if share >= TRUSTED_SHARE or attempt == 2:
+        if share >= TRUSTED_SHARE or attempt == ATTEMPTS - 1:
             break
-        step_back(pose, prior, known, noise, axis)
+        step_back(pose, prior, noise, direction)
         begin = last
-        if attempt == 1:
-            copy(pose, centre)
+        if attempt == ATTEMPTS - 2:
+            copy(pose, held.pose)
             hold = system[0] + system[3]
             for k in range(2):
                 for m in range(2):
-                    pull[k, m] += hold / (noise * noise) * axis[k] * axis[m]
-    doubt_heading(source_points, lines, poses, pose, partners, passes[last, 1], system, strongest)
+                    held.information[k, m] += hold / (noise * noise) * direction[k] * direction[m]
+    discount_heading(source, references, pose, final.scale, work)
     return size, total
 
 
 @merged
-def run_passes_from_many(
-    source_points,
-    source_lines,
-    source_flags,
-    points,
-    lines,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    pose,
-    passes,
-    others,
-    noise,
-    iterations,
-    min_pairs,
-    good_inlier_fraction,
-    partners,
-    transforms,
-    scratch,
-    system,
-    rival_partners,
-    rival_system,
-    free,
-    spots,
-):
-    """Settle `pose` (3,) with no prior, from other starts as well if the outcome is poor.
+def run_passes_from_many(source, references, pose, passes, others, limits, work, spare, squares):
+    """Find `pose` (3,) with no prior, from other starts as well if the outcome is poor.
 
-    Nothing vouches for the guess then: it may have been caught on the way.
-    `free` (3, 3) is zero: no prior pulls; `spots` (3, 3), `rival_partners` and `rival_system`
-    are scratch.
+    Nothing supports the guess then, and the iteration may end in a local minimum.  The second of
+    `squares` (3, 3, 3) is zero, for there is no prior; the third and `spare` are scratch.
     """
-    guess, trial, best = spots[0], spots[1], spots[2]
+    guess, trial, best = squares[2, 0], squares[2, 1], squares[2, 2]
     copy(pose, guess)
-    size, count = run_passes(
-        source_points,
-        source_lines,
-        source_flags,
-        points,
-        lines,
-        flags,
-        starts,
-        geometries,
-        reach2,
-        poses,
-        pose,
-        guess,
-        free,
-        passes,
-        noise,
-        iterations,
-        partners,
-        transforms,
-        scratch,
-        system,
-    )
+    free = PriorTerm(guess, squares[1])
+    size, count = run_passes(source, references, pose, free, passes, limits, work)
     alternatives = len(others)
-    inlier_fraction = share_that_fits(system, min_pairs)
-    if inlier_fraction >= good_inlier_fraction or alternatives == 0:
+    inlier_fraction = share_that_fits(work.system, limits.min_pairs)
+    if inlier_fraction >= limits.good_inlier_fraction or alternatives == 0:
         return size, count
     best_inlier_fraction = inlier_fraction
     for k in range(alternatives + 1):  # the other starts, and the best of them refined
@@ -409,39 +185,18 @@ def run_passes_from_many(
             copy(best, trial)
         else:
             break
-        used_size, used = run_passes(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
-            trial,
-            guess,
-            free,
-            passes[1:] if refining else passes[:COARSE],
-            noise,
-            iterations,
-            rival_partners,
-            transforms,
-            scratch,
-            rival_system,
-        )
-        found = share_that_fits(rival_system, min_pairs)
+        few = passes[1:] if refining else passes[:COARSE]
+        used_size, used = run_passes(source, references, trial, free, few, limits, spare)
+        found = share_that_fits(spare.system, limits.min_pairs)
         if not refining:
             if found > best_inlier_fraction:
                 copy(trial, best)
                 best_inlier_fraction = found
         elif found > inlier_fraction:
             copy(trial, pose)
-            copy(rival_system, system)
-            for ref in range(len(partners)):
-                for i in range(partners.shape[1]):
-                    partners[ref, i] = rival_partners[ref, i]
+            copy(spare.system, work.system)
+            for ref in range(len(work.pairs)):
+                copy(spare.pairs[ref], work.pairs[ref])
             size, count = used_size, used
     return size, count
 

@@ -23,6 +23,9 @@ from slam.frontend.correlative_kernels import (
 
 Matrix = NDArray[np.float64]
 
+# Of the best score: an alternative below cannot make a place ambiguous (`ambiguity_ratio`).
+ALTERNATIVE_SHARE = 0.7
+
 
 class CorrelativeConfig(BaseModel):
     """The search that seeds a loop closure."""
@@ -32,7 +35,7 @@ class CorrelativeConfig(BaseModel):
     resolution: float = Field(0.10, gt=0, description="m, cell of the likelihood field")
     smoothing: float = Field(0.12, gt=0, description="m, sigma of a point's likelihood")
     levels: int = Field(5, ge=1, le=8, description="block sizes 1, 2, 4, ... cells")
-    max_points: int = Field(240, ge=20, description="query points, thinned evenly")
+    max_points: int = Field(240, ge=20, description="query points, evenly subsampled")
     max_range: float = Field(20.0, gt=0, description="m, farther points do not count")
 
 
@@ -108,18 +111,19 @@ def search(
     xs, ys = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
     bounds = np.empty(len(angles) * blocks_per_axis(len(field.levels), cells) ** 2)
     bound_blocks(field.levels, points / res, angles, x0, y0, cells, xs, ys, bounds)
-    order, stack = np.argsort(-bounds, kind="stable"), np.empty((4 * len(field.levels) + 4, 4))
+    nodes = bounds, np.argsort(-bounds, kind="stable")
+    stack = np.empty((4 * len(field.levels) + 4, 4))
     found = branch_and_bound(
-        field.levels, xs, ys, bounds, order, angles, cells, min_score, nothing, stack, best
+        field.levels, (xs, ys), nodes, angles, cells, min_score, nothing, stack, best
     )
     if not found:
         return None
     second = np.zeros(4)
     excluded = np.array([best[1], best[2], apart / res])
-    # Only a rival that comes near the best is of interest.
-    threshold = 0.7 * best[0]
+    # Only an alternative that comes near the best is of interest.
+    threshold = ALTERNATIVE_SHARE * best[0]
     other = branch_and_bound(
-        field.levels, xs, ys, bounds, order, angles, cells, threshold, excluded, stack, second
+        field.levels, (xs, ys), nodes, angles, cells, threshold, excluded, stack, second
     )
     pose = Pose2(
         window.centre.x() + best[1] * res, window.centre.y() + best[2] * res, float(best[3])

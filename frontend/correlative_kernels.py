@@ -24,7 +24,7 @@ def stamp(points, low, resolution, smoothing, grid):
             dy = (y + 0.5 - py) * resolution / smoothing
             along = np.exp(-0.5 * dy * dy)
             for x in range(left, right):
-                # Written whether larger or not: a branch that nobody foresees costs more.
+                # Written whether larger or not: an unpredictable branch costs more.
                 grid[y, x] = max(grid[y, x], np.float32(along * across[x - left]))
 
 
@@ -89,15 +89,14 @@ def bound_blocks(levels, points, angles, x0, y0, cells, xs, ys, bounds):
 
 
 @bare_kernel
-def branch_and_bound(
-    levels, xs, ys, bounds, order, angles, cells, min_score, excluded, stack, best
-):
+def branch_and_bound(levels, points, nodes, angles, cells, min_score, excluded, stack, best):
     """Depth-first over blocks, the most promising first; fills best (score, dx, dy, angle).
 
-    `xs`, `ys` and `bounds` come from `bound_blocks`, `order` sorts the bounds, largest first.
+    `points` are (xs, ys) of `bound_blocks`; `nodes` are its bounds and their order, largest first.
     `excluded` is (dx, dy, radius) in cells: poses nearer than radius do not count.
     `stack` (4 levels + 4, 4) is scratch: bound, level, dx, dy.
     """
+    (xs, ys), (bounds, order) = points, nodes
     top = len(levels) - 1
     block = 1 << top
     per_axis = blocks_per_axis(len(levels), cells)

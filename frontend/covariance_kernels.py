@@ -1,10 +1,16 @@
-"""Numba kernels that turn the sums of a match into information, covariance and weak axis."""
+"""Numba kernels that turn the sums of a match into its information and covariance."""
 
 from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, merged, part
-from slam.frontend.icp_kernels import FEIGNED, FEIGNED_TURN, eigen2
+from slam.frontend.degeneracy import taken_by_heading, weak_direction
+from slam.frontend.match_arrays import SPURIOUS, SPURIOUS_TURN
+
+# Added to the scatter M before it is inverted: the share of it that rounding leaves wrong anyway,
+# and a number for a match without pairs.
+RIDGE = 1e-9
+LEAST_RIDGE = 1e-12
 
 
 @part
@@ -35,20 +41,18 @@ def multiply3(a, b, out):
 
 @kernel
 def own_information(system, gradient, variance, floor_trans, floor_rot, information):
-    """(3, 3) information of the match alone, with what noisy normals feign taken out.
+    """(3, 3) information of the match alone, with the spurious part taken out.
 
     Normals that err by a variance s2 turn the information n n' into n n' + s2 t t': a plain
     wall seems to know where along it the robot is.  The expected surplus is subtracted, as far
     as the difference keeps no negative direction.  The covariance is the sandwich
-    H^-1 M H^-1 variance of an estimator whose gradient scatters by M (`gradient`, 6) for unit
-    noise, plus a floor for what no number of beams removes; all in information form, since axes
-    may be blind.  `variance` (m^2) is that of a range.
+    H^-1 M H^-1 variance (Censi 2007) of an estimator whose gradient scatters by M (`gradient`, 6)
+    for unit noise, plus a floor (m, rad) for what no number of beams removes; all in information
+    form, since directions may be degenerate.  `variance` (m^2) is that of a range.
     """
-    f = FEIGNED
-    turn = max(system[5], 1e-300)
-    # What is known of the translation when the heading is not: the Schur complement.
-    bxx, bxy, byy = system[2] ** 2 / turn, system[2] * system[4] / turn, system[4] ** 2 / turn
-    low, high, angle = eigen2(
+    f = SPURIOUS
+    bxx, bxy, byy = taken_by_heading(system[2], system[4], system[5])
+    low, high, angle = weak_direction(
         system[0] - bxx - system[f],
         system[1] - bxy - system[f + 1],
         system[3] - byy - system[f + 2],
@@ -59,20 +63,20 @@ def own_information(system, gradient, variance, floor_trans, floor_rot, informat
     h[0, 0] = low * c * c + high * s * s + bxx
     h[0, 1] = (low - high) * c * s + bxy
     h[1, 1] = low * s * s + high * c * c + byy
-    h[0, 2], h[1, 2], h[2, 2] = system[2], system[4], system[5] - system[FEIGNED_TURN]
+    h[0, 2], h[1, 2], h[2, 2] = system[2], system[4], system[5] - system[SPURIOUS_TURN]
     h[1, 0], h[2, 0], h[2, 1] = h[0, 1], h[0, 2], h[1, 2]
     m = np.empty((3, 3))
     m[0, 0], m[0, 1], m[0, 2] = gradient[0], gradient[1], gradient[2]
     m[1, 1], m[1, 2], m[2, 2] = gradient[3], gradient[4], gradient[5]
     m[1, 0], m[2, 0], m[2, 1] = m[0, 1], m[0, 2], m[1, 2]
-    ridge = 1e-9 * (m[0, 0] + m[1, 1]) + 1e-12
+    ridge = RIDGE * (m[0, 0] + m[1, 1]) + LEAST_RIDGE
     for i in range(3):
         m[i, i] += ridge
     inverse, product, a = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     invert3(m, inverse)
     multiply3(h, inverse, product)
     multiply3(product, h, a)
-    # (a^-1 + floor)^-1 = a (1 + floor a)^-1, which needs no inverse of a blind a.
+    # (a^-1 + floor)^-1 = a (1 + floor a)^-1, which needs no inverse of a degenerate a.
     for i in range(3):
         floor = floor_rot * floor_rot if i == 2 else floor_trans * floor_trans
         for j in range(3):
@@ -94,23 +98,3 @@ def combine(information, known, covariance):
         for j in range(3):
             total[i, j] = information[i, j] + known[i, j]
     invert3(total, covariance)
-
-
-@merged
-def weakest_direction(information, known):
-    """Direction (rad) of the translation that the match knows worst, and by what ratio.
-
-    The ratio is the match's own sigma over the sigma that `known` (3, 3), the prior's
-    covariance, promises along the same axis: above one, the axis belongs to the odometry.
-    Heading is marginalised.
-    """
-    turn = information[2, 2]
-    a, b, c = information[0, 0], information[0, 1], information[1, 1]
-    if turn > 0.0:
-        a -= information[0, 2] * information[0, 2] / turn
-        b -= information[0, 2] * information[1, 2] / turn
-        c -= information[1, 2] * information[1, 2] / turn
-    low, _, angle = eigen2(a, b, c)
-    x, y = np.cos(angle), np.sin(angle)
-    promised = known[0, 0] * x * x + 2.0 * known[0, 1] * x * y + known[1, 1] * y * y
-    return angle, np.sqrt(1.0 / (max(low, 1e-12) * promised))

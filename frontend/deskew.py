@@ -17,7 +17,7 @@ _GAP = 10.0  # beam spacings between neighbours that lie on one surface
 
 
 def sweep_ns(scan: LaserScan) -> int:
-    """Time from the first beam to the last, ns; 0 if the scan does not tell."""
+    """Time from the first beam to the last, ns; 0 if the scan has no timing."""
     return round(scan.beam_period_s * (len(scan.ranges) - 1) * 1e9)
 
 

@@ -1,148 +1,107 @@
-"""Numba kernel that asks whether the weak axis of a match is seen, or only seems to be."""
+"""Numba kernels that test whether the weak direction of a match is seen, or only seems to be."""
 
 from __future__ import annotations
 
 import numpy as np
-from slam.frontend.compiled import inlined, part
-from slam.frontend.icp_kernels import FEIGNED, eigen2, in_reference, nearest_beam
+from slam.frontend.compiled import part
+from slam.frontend.correspondence_kernels import MIN_NORMAL_COSINE, in_reference, nearest_beam
+from slam.frontend.degeneracy import (
+    PROOF_RATIO,
+    PROOF_SHIFT,
+    STRONGEST_LIMIT,
+    STRONGEST_PAIRS,
+    TRUSTED_SHARE,
+    keep_strongest,
+    taken_by_heading,
+    weak_direction,
+)
+from slam.frontend.match_arrays import SPURIOUS
 from slam.frontend.scan_kernels import LINE, VALID
-
-WEAK = 0.2  # share of the strong axis' information, below which the weak axis has to prove its own
-SHIFT = 3.0  # robust scales to either side at which the proof is taken
-TRUSTED_SHARE = 0.5  # of its information that the weak axis must show to keep its place
-DOUBTED_PAIRS = 3  # single pairs whose word alone does not count
-BORNE_OUT = 0.5  # times what all others say: as far they are believed, a third of the whole
 
 
 @part
-def discount_weak_axis(
-    source_points,
-    source_lines,
-    source_flags,
-    points,
-    lines,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    pose,
-    gate,
-    scale,
-    partners,
-    system,
-    axis,
-    strongest,
-):
-    """Add to the feigned information in `system` what the weak axis claims and cannot show.
+def discount_weak_direction(source, references, pose, level, work):
+    """Add to the spurious information of a match what its weak direction claims and cannot show.
 
-    Returns the share of its claim that the axis keeps; fills `axis` (4,) with the axis as a step
-    (x, y, theta) in the source frame, a metre long, and the information (unit noise) left there.
-    `strongest` (DOUBTED_PAIRS,) is scratch.
+    Returns the share of its claim that the direction keeps; fills `work.direction` with a step
+    (x, y, theta) of one metre along it in the source frame, and the information (unit noise) left
+    there.
 
-    Held to its pairs, a scan that is shifted along an axis it sees costs more, and it still does
-    when each beam may choose its partner anew.  Along a wall whose normals are noisy, or which
-    bows, the first holds and the second does not: the next piece of wall serves as well.  So
-    the axis keeps the share of its information that the cost with free partners bears out, after
-    the strongest few pairs are left out: what they say alone may be a single wrong pair.  Where
-    the others prove the axis, the strongest count again, up to a third of the whole.
+    With its pairs held, a scan that is shifted along a direction it sees costs more, and it still
+    does when each beam may choose its correspondence anew.  Along a wall whose normals are noisy,
+    or which bows, the first holds and the second does not: the next piece of wall serves as well.
+    So the direction keeps the share of its information that the cost with free correspondences
+    bears out, after the strongest few pairs are left out: what they alone support may be a single
+    wrong pair.  Where the others prove the direction, the strongest count again, up to a third of
+    the whole.
     """
-    turn = max(system[5], 1e-300)
-    xx = system[0] - system[2] * system[2] / turn - system[FEIGNED]
-    xy = system[1] - system[2] * system[4] / turn - system[FEIGNED + 1]
-    yy = system[3] - system[4] * system[4] / turn - system[FEIGNED + 2]
-    low, high, angle = eigen2(xx, xy, yy)
-    if not 0.0 < low < WEAK * high:
+    system = work.system
+    bxx, bxy, byy = taken_by_heading(system[2], system[4], system[5])
+    low, high, angle = weak_direction(
+        system[0] - bxx - system[SPURIOUS],
+        system[1] - bxy - system[SPURIOUS + 1],
+        system[3] - byy - system[SPURIOUS + 2],
+    )
+    if not 0.0 < low < PROOF_RATIO * high:
         return 1.0
     x, y = np.cos(angle), np.sin(angle)
+    turn = max(system[5], 1e-300)
     t = -(system[2] * x + system[4] * y) / turn  # the heading that goes with a shift along it
-    shift = SHIFT * scale
-    held, alone, chance = held_rise(
-        source_points,
-        lines,
-        poses,
-        pose,
-        partners,
-        scale,
-        shift * x,
-        shift * y,
-        shift * t,
-        strongest,
-    )
+    direction = work.direction
+    direction[0], direction[1], direction[2] = x, y, t
+    shift = PROOF_SHIFT * level.scale
+    held, alone, chance = held_rise(source, references, pose, level.scale, shift, work)
     free = 0.0
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for side in range(-1, 2):
         ax, ay = side * shift * x, side * shift * y
         cost = free_cost(
-            source_points,
-            source_lines,
-            source_flags,
-            points,
-            lines,
-            flags,
-            starts,
-            geometries,
-            reach2,
-            poses,
+            source,
+            references,
             pose[0] + c * ax - s * ay,
             pose[1] + s * ax + c * ay,
             pose[2] + side * shift * t,
-            gate,
-            scale,
+            level,
         )
         free += cost if side != 0 else -2.0 * cost
     share = min(max((free - chance) / max(held, 1e-300), 0.0), 1.0)
     rest = max(low - alone, 0.0)
     left = share * rest
     if left >= TRUSTED_SHARE * low:  # proven without them
-        left += share * min(alone, BORNE_OUT * rest)
+        left += share * min(alone, STRONGEST_LIMIT * rest)
     surplus = low - left
-    system[FEIGNED] += surplus * x * x
-    system[FEIGNED + 1] += surplus * x * y
-    system[FEIGNED + 2] += surplus * y * y
-    axis[0], axis[1], axis[2], axis[3] = x, y, t, left
+    system[SPURIOUS] += surplus * x * x
+    system[SPURIOUS + 1] += surplus * x * y
+    system[SPURIOUS + 2] += surplus * y * y
+    direction[3] = left
     return left / low
 
 
 @part
-def free_cost(
-    source_points,
-    source_lines,
-    source_flags,
-    points,
-    lines,
-    flags,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    x,
-    y,
-    theta,
-    gate,
-    scale,
-):
-    """Robust cost at target_T_source = (x, y, theta) with the partners that are nearest there.
+def free_cost(source, references, x, y, theta, level):
+    """Robust cost at target_T_source = (x, y, theta), each beam paired with what is nearest there.
 
-    A beam without partner costs what a far one does, wherever it lies.
+    A beam without correspondence costs what a far one does, wherever it lies.
     """
     cost, unpaired = 0.0, 0
+    lines, gate, scale = references.lines, level.gate, level.scale
     gate2, inverse_scale2 = gate * gate, 1.0 / (scale * scale)
-    for ref in range(len(poses)):
-        first, n = starts[ref], starts[ref + 1] - starts[ref]
-        c, s, tx, ty = in_reference(poses, ref, x, y, theta)
-        for i in range(len(source_points)):
-            if not source_flags[i] & VALID:
+    for ref in range(len(references.poses)):
+        first = references.starts[ref]
+        c, s, tx, ty = in_reference(references.poses, ref, x, y, theta)
+        for i in range(len(source.points)):
+            if not source.flags[i] & VALID:
                 continue
-            qx, qy = source_points[i, 0], source_points[i, 1]
+            qx, qy = source.points[i, 0], source.points[i, 1]
             px, py = c * qx - s * qy + tx, s * qx + c * qy + ty
             unpaired += 1
-            j, _ = nearest_beam(px, py, points, first, n, geometries, reach2, ref, gate2)
-            if j < 0 or not flags[first + j] & LINE:
+            j, _ = nearest_beam(px, py, references, ref, gate2)
+            if j < 0 or not references.flags[first + j] & LINE:
                 continue
             nx, ny = lines[first + j, 0], lines[first + j, 1]
             ax, ay = c * nx + s * ny, c * ny - s * nx
-            if source_flags[i] & LINE and ax * source_lines[i, 0] + ay * source_lines[i, 1] < 0.5:
+            cosine = ax * source.lines[i, 0] + ay * source.lines[i, 1]
+            if source.flags[i] & LINE and cosine < MIN_NORMAL_COSINE:
                 continue
             residual = nx * px + ny * py - lines[first + j, 2]
             if abs(residual) > gate:
@@ -154,42 +113,47 @@ def free_cost(
 
 
 @part
-def step_back(pose, prior, information, noise, axis):
-    """Move `pose` (3,) along `axis` to where the prior, weighed against what is left, puts it."""
+def step_back(pose, prior, noise, direction):
+    """Move `pose` (3,) along `direction` (4,) to where the prior, weighed against it, puts it."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    dx, dy = pose[0] - prior[0], pose[1] - prior[1]
+    centre, information = prior.pose, prior.information
+    dx, dy = pose[0] - centre[0], pose[1] - centre[1]
     e0, e1 = c * dx + s * dy, c * dy - s * dx
-    e2 = pose[2] - prior[2]
+    e2 = pose[2] - centre[2]
     e2 -= 2.0 * np.pi * np.floor(e2 / (2.0 * np.pi) + 0.5)
-    pull, stiff = 0.0, axis[3] / (noise * noise)
+    pull, stiff = 0.0, direction[3] / (noise * noise)
     for k in range(3):
-        pull += axis[k] * (information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2)
+        pull += direction[k] * (
+            information[k, 0] * e0 + information[k, 1] * e1 + information[k, 2] * e2
+        )
         for m in range(3):
-            stiff += axis[k] * information[k, m] * axis[m]
+            stiff += direction[k] * information[k, m] * direction[m]
     size = -pull / stiff
-    pose[0] += size * (c * axis[0] - s * axis[1])
-    pose[1] += size * (s * axis[0] + c * axis[1])
-    pose[2] += size * axis[2]
+    pose[0] += size * (c * direction[0] - s * direction[1])
+    pose[1] += size * (s * direction[0] + c * direction[1])
+    pose[2] += size * direction[2]
 
 
 @part
-def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt, strongest):
-    """Second difference of the robust cost over +-(dx, dy, dt) in the source frame, pairs held.
+def held_rise(source, references, pose, scale, shift, work):
+    """Second difference of the robust cost over +-shift (m) along the direction, pairs held.
 
-    Also returns the information along that direction that the strongest few pairs hold, and by
-    how much the cost may change by chance when every beam draws another residual.
+    Also returns the information along it that the strongest few pairs hold, and by how much the
+    cost may change by chance when every beam draws another residual.
     """
+    lines, pairs, strongest = references.lines, work.pairs, work.strongest
+    dx, dy, dt = shift * work.direction[0], shift * work.direction[1], shift * work.direction[2]
     inverse_scale2 = 1.0 / (scale * scale)
     rise, squares = 0.0, 0.0
-    for k in range(DOUBTED_PAIRS):
+    for k in range(STRONGEST_PAIRS):
         strongest[k] = 0.0
-    for ref in range(len(poses)):
-        c, s, tx, ty = in_reference(poses, ref, pose[0], pose[1], pose[2])
-        for i in range(len(source_points)):
-            j = partners[ref, i]
+    for ref in range(len(references.poses)):
+        c, s, tx, ty = in_reference(references.poses, ref, pose[0], pose[1], pose[2])
+        for i in range(len(source.points)):
+            j = pairs[ref, i]
             if j < 0:
                 continue
-            qx, qy = source_points[i, 0], source_points[i, 1]
+            qx, qy = source.points[i, 0], source.points[i, 1]
             nx, ny = lines[j, 0], lines[j, 1]
             ax, ay = c * nx + s * ny, c * ny - s * nx
             r = nx * (c * qx - s * qy + tx) + ny * (s * qx + c * qy + ty) - lines[j, 2]
@@ -202,14 +166,6 @@ def held_rise(source_points, lines, poses, pose, partners, scale, dx, dy, dt, st
             squares += r2 * r2 * root * root
             keep_strongest(root * root * slope * slope, strongest)
     alone = 0.0
-    for k in range(DOUBTED_PAIRS):
+    for k in range(STRONGEST_PAIRS):
         alone += strongest[k]
     return rise, alone / (dx * dx + dy * dy), np.sqrt(squares)
-
-
-@inlined
-def keep_strongest(told, strongest):
-    """Insert what a pair tells into the descending list (DOUBTED_PAIRS,) if it belongs there."""
-    for k in range(DOUBTED_PAIRS):
-        if told > strongest[k]:
-            told, strongest[k] = strongest[k], told

@@ -1,10 +1,9 @@
-"""How far may the robot go until the next match is worth most?  No walls, no weights.
+"""How far may the robot go until the next match is worth most?  No wall profiles, no weights.
 
-A match after d metres is foreseen from the keyframe alone: its own points say what a later scan
-will still see of them, and its normals what that tells about each axis.  With the odometry's
-prior this is the covariance P(d) of a match.  Chained over a path, the variance that a metre
-adds depends on d; the interval is the longest whose sum is as good as the best.  Likewise for
-turns.
+A match after d metres is predicted from the keyframe alone: its points give what a later scan
+will still see of them, and its normals the information along each axis.  With the odometry's
+prior this is the covariance P(d) of a match.  Chained over a path, the variance added per metre
+depends on d; the interval is the longest whose sum is as good as the best.  Likewise for turns.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from slam.frontend.scan import VALID, PreparedScan
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "theta")
-PER_OCTAVE = 2  # distances at which a match is foreseen; between them its variance is smooth
+PER_OCTAVE = 2  # distances at which a match is predicted; between them its variance is smooth
 FINER = 4  # distances tried between two of those
 MOST_BEAMS = 180  # cast into the scan
 
@@ -35,7 +34,7 @@ class PredictionModel:
     range_noise: float  # m, one sigma
     correlation: float  # factor on the variance that range noise alone explains, at least 1
     gap_ratio: float  # of beam spacings, that parts two surfaces
-    tolerance: float  # by which share of the least a foreseen error may be larger
+    tolerance: float  # by which share of the least a predicted error may be larger
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +56,13 @@ def informations(scan: PreparedScan, poses: Array, model: PredictionModel) -> tu
 
     Returns:
         (k, 3, 3) information of x, y, theta in the later frame, without floor and prior, and
-        (k,) the number of beams that would find a partner.
+        (k,) the number of beams that would find a correspondence.
     """
     information, pairs = np.empty((len(poses), 3, 3)), np.empty(len(poses))
-    predict(
-        scan.points, scan.lines, scan.flags, scan.geometry, model.range_noise,
-        model.gap_ratio, MOST_BEAMS, poses, model.range_noise**2 * model.correlation,
-        information, pairs,
-    )  # fmt: skip
+    source = scan.points, scan.lines, scan.flags, scan.geometry
+    variance = model.range_noise**2 * model.correlation
+    rules = model.range_noise, variance, model.gap_ratio, MOST_BEAMS
+    predict(source, rules, poses, information, pairs)
     return information, pairs
 
 
@@ -72,7 +70,7 @@ def distance_of_overlap(
     scan: PreparedScan, direction: float, shortest: float, longest: float, least: float,
     model: PredictionModel,
 ) -> float:  # fmt: skip
-    """The farthest distance (m) up to which `least` of the paired beams still find a partner."""
+    """The farthest distance (m) up to which `least` of the paired beams still find a pair."""
     distances = np.geomspace(shortest, longest, _count(shortest, longest, PER_OCTAVE))
     poses = _ahead(np.concatenate([[0.0], distances]), direction)
     pairs = informations(scan, poses, model)[1]
@@ -88,10 +86,11 @@ def best_distance(
     With P(d) the trace of a match's covariance (the heading counts by r^2, r the median distance
     of what is seen, so that the sum is the square shift of a point): a keyframe that is matched
     against several at once hangs, on average, on one D(d) metres back, each of them weighing by
-    what it knows.  Such a chain grows by P d / D^2 a metre.  Of the part of P that comes from the
+    what it knows.  Such a chain grows by P d / D^2 per metre.  Of the part of P that comes from the
     scans, S, the share that range noise does not explain comes from the shape of what is seen.  It
     is the same for as long as that is in view, about r metres, and adds `share` S r / D^2: the
-    error that every match has of its own.  About the least: the sigma may be larger by the slack.
+    error that every match has of its own.  About the least: the sigma may
+    be larger by the tolerance.
 
     Args:
         scan: the keyframe.

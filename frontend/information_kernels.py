@@ -1,15 +1,16 @@
-"""Numba kernels that foresee a match: what the next scan will see of this one, and learn from it.
+"""Numba kernels that predict a match: what the next scan sees of this one, and its information.
 
 The scan's own points, joined along each surface, are the only map there is; a coming scan is
-cast into it beam by beam.  What lies outside, behind or beyond is not seen and says nothing.
+cast into it beam by beam.  What is outside, behind or beyond is not seen and adds nothing.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, part
+from slam.frontend.correspondence_kernels import bearing_of
 from slam.frontend.covariance_kernels import own_information
-from slam.frontend.icp_kernels import FEIGNED, SYSTEM, bearing_of
+from slam.frontend.match_arrays import SPURIOUS, SYSTEM, Source
 from slam.frontend.scan_kernels import LINE, VALID
 from slam.frontend.scatter_kernels import add_outer
 
@@ -84,13 +85,14 @@ def cast(points, joined, geometry, bearings, pose, depth, hit):
 
 
 @part
-def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gradient):
+def weigh(scan, bearings, pose, depth, hit, system, gradient):
     """Sums of the match that the cast beams would make; returns how many of them would pair.
 
     Fills `system` (SYSTEM,) and the scatter `gradient` (6) for unit range noise, both in the
     frame of the later scan.  Noise acts along the beam, on either side of a pair; a beam
     of this scan stands for as many pairs as later beams fall between it and the next one.
     """
+    points, lines, flags, geometry = scan.points, scan.lines, scan.flags, scan.geometry
     system[:] = 0.0
     gradient[:] = 0.0
     n, paired = len(points), 0
@@ -128,9 +130,9 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
         system[3] += ny * ny
         system[4] += ny * turn
         system[5] += turn * turn
-        system[FEIGNED] += lines[at, 3] * ny * ny
-        system[FEIGNED + 1] -= lines[at, 3] * nx * ny
-        system[FEIGNED + 2] += lines[at, 3] * nx * nx
+        system[SPURIOUS] += lines[at, 3] * ny * ny
+        system[SPURIOUS + 1] -= lines[at, 3] * nx * ny
+        system[SPURIOUS + 2] += lines[at, 3] * nx * nx
         scale = np.sqrt(now * now + shared * then * then)
         add_outer(gradient, 1.0, scale * nx, scale * ny, scale * turn)
         paired += 1
@@ -138,19 +140,20 @@ def weigh(points, lines, flags, geometry, bearings, pose, depth, hit, system, gr
 
 
 @kernel
-def predict(
-    points, lines, flags, geometry, noise, gap_ratio, most_beams, poses, variance, informations,
-    pairs,
-):  # fmt: skip
-    """Information (k, 3, 3) of a match from each of `poses` (k, 3), and its `pairs` (k,).
+def predict(source, rules, poses, informations, pairs):
+    """Fill the information (k, 3, 3) of a match from each of `poses` (k, 3), and its pairs (k,).
 
-    No floor and no prior is in it.  `variance` (m^2) is that of a range.  A scan of more than
-    `most_beams` is thinned, and what remains counts for as many.
+    No floor and no prior is in it.  `source` holds the fields of `Source`.  `rules` are the noise
+    of a range (m), its variance in a match (m^2), the gap ratio that parts two surfaces, and
+    the most beams: a scan of more is subsampled, and what remains counts for as many.
     """
-    n = len(points)
+    scan = Source(*source)
+    noise, variance, gap_ratio, most_beams = rules
+    geometry = scan.geometry
+    n = len(scan.points)
     stride = max(1, n // most_beams)
     joined = np.empty(n, dtype=np.bool_)
-    surfaces(points, flags, geometry, noise, gap_ratio, joined)
+    surfaces(scan.points, scan.flags, geometry, noise, gap_ratio, joined)
     bearings = np.empty((n // stride, 2))
     for k in range(len(bearings)):
         angle = geometry[0] + k * stride * geometry[1]
@@ -158,8 +161,6 @@ def predict(
     depth, hit = np.empty(len(bearings)), np.empty(len(bearings), dtype=np.int64)
     system, gradient = np.zeros(SYSTEM), np.empty(6)
     for k in range(len(poses)):
-        cast(points, joined, geometry, bearings, poses[k], depth, hit)
-        pairs[k] = stride * weigh(
-            points, lines, flags, geometry, bearings, poses[k], depth, hit, system, gradient
-        )
+        cast(scan.points, joined, geometry, bearings, poses[k], depth, hit)
+        pairs[k] = stride * weigh(scan, bearings, poses[k], depth, hit, system, gradient)
         own_information(system, gradient, variance / stride, 0.0, 0.0, informations[k])

@@ -1,47 +1,51 @@
-"""What a loop closure knows along its weak axis, and what it only seems to know."""
+"""What a loop closure knows along its weak direction, and what it only seems to know."""
 
 from __future__ import annotations
 
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
+from slam.frontend.degeneracy import (
+    BOTH_SIDES_SHARE,
+    LOOP_SIGMA_RATIO,
+    NEAR_M,
+    UNSEEN_SIGMA_M,
+    weak_sigmas,
+)
 from slam.frontend.match_types import MatchResult
 from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
 
-BLIND_M = 0.02  # m, own sigma beyond which a match slides along an axis rather than knows it
-LOPSIDED = 2.5  # ratio of the sigmas of two axes, beyond which there is a weak one
-NEAR_M = 10.0  # m, points that decide from which side a place is seen
 
-
-def without_blind_axis(
+def without_degenerate_direction(
     result: MatchResult, old: PreparedScan, new: PreparedScan, predicted: Pose2
 ) -> MatchResult:
-    """The match with nothing said along the axis that it does not know; itself if there is none.
+    """The match without information along a degenerate direction; itself if there is none.
 
     A wall's recesses show one face to the robot that comes and the other to the one that goes
-    back; all that both see of them is the step itself, between beams that lie far apart, so that
-    lines across it slant one way in one scan and the other way in the other.  Such matches agree
-    with themselves but err by ten sigmas along the wall.  What remains is what the walls say
-    across it, and of the heading; along it the pose is the one that was `predicted`.
+    back.  All that both see of them is the step itself, between beams that lie far apart, so that
+    lines across it slant one way in one scan and the other way in the other.  Such matches are
+    consistent with themselves but err by ten sigmas along the wall.  What remains is the
+    information across the wall and of the heading; along it the pose is the `predicted` one.
 
     Args:
         result: target_T_source, the target frame being that of `old`.
         old: scan of the old place.
         new: scan that was matched.
-        predicted: target_T_source as the graph has it.
+        predicted: target_T_source by the graph.
     """
-    along, weak, strong = degenerate_direction(result.information)
-    blind = weak > BLIND_M
-    if not blind and weak > LOPSIDED * strong:
+    along, weak, strong = weak_sigmas(result.information)
+    degenerate = weak > UNSEEN_SIGMA_M
+    if not degenerate and weak > LOOP_SIGMA_RATIO * strong:
         axis = result.target_T_source.rotation().matrix() @ along
-        blind = seen_from_both_sides(result.target_T_source, old, new, axis) > 0.5
-    if not blind:
+        shared = seen_from_both_sides(result.target_T_source, old, new, axis)
+        degenerate = shared > BOTH_SIDES_SHARE
+    if not degenerate:
         return result
     shift = np.array([along[0], along[1], 0.0])
     information = result.information - np.outer(shift, shift) / weak**2
-    # The heading goes along so that what the walls say stays fulfilled.
+    # The heading changes along with it so that the walls across still fit.
     shift[2] = -float(shift @ result.information[2]) / max(result.information[2, 2], 1e-300)
     error = Pose2.Logmap(result.target_T_source.between(predicted))
     pose = result.target_T_source * Pose2.Expmap(float(error[:2] @ along) * shift)
@@ -49,18 +53,6 @@ def without_blind_axis(
     return result._replace(
         target_T_source=pose, information=information, degenerate_direction=angle
     )
-
-
-def degenerate_direction(information: Matrix) -> tuple[Matrix, float, float]:
-    """Unit vector (2,) of the worst known translation, its sigma and that across it, in m.
-
-    The heading is marginalised; sigmas are inf where nothing is known.
-    """
-    turn = max(information[2, 2], 1e-300)
-    known = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / turn
-    values, vectors = np.linalg.eigh(known)
-    weak, strong = (1.0 / np.sqrt(v) if v > 0.0 else np.inf for v in values)
-    return vectors[:, 0], float(weak), float(strong)
 
 
 def seen_from_both_sides(

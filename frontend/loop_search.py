@@ -19,7 +19,7 @@ from slam.frontend.correlative import (
     search,
     thin,
 )
-from slam.frontend.loop_axes import without_blind_axis
+from slam.frontend.loop_axes import without_degenerate_direction
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import VALID, PreparedScan
@@ -55,9 +55,8 @@ class LoopSearchConfig(BaseModel):
 class Closure:
     """A candidate after the search; `reason` is empty if nothing spoke against it."""
 
-    result: (
-        MatchResult | None
-    )  # of the refined match; a `degenerate_direction` is one it does not know
+    # The refined match; along its `degenerate_direction`, if any, it knows nothing.
+    result: MatchResult | None
     score: float
     second_score: float
     reason: str
@@ -136,7 +135,10 @@ def _refine(
     if second > config.ambiguity_ratio * score:
         return Closure(result, fit, second, "another place in the window fits as well")
     return Closure(
-        without_blind_axis(result, _anchor(references), newest, predicted), fit, second, ""
+        without_degenerate_direction(result, _anchor(references), newest, predicted),
+        fit,
+        second,
+        "",
     )
 
 

@@ -15,6 +15,18 @@ Matrix = NDArray[np.float64]
 Triple = tuple[float, float, float]  # x (m), y (m), theta (rad)
 Method = Literal["point_to_line", "point_to_point", "ndt", "psm"]
 
+# The coarse pass, which brings a guess within reach of the last one.
+# Its gate: three times an odometry error of 0.2 m; walls farther apart do not pair.
+COARSE_GATE_M = 0.6
+# Its robust scale: the error of the guess must still count in full.
+COARSE_SCALE_M = 0.2
+# Its tolerance: half the scale of the last pass, which begins where this one ends.
+COARSE_TOLERANCE_M = 0.02
+# The first pass without a prior: a pair at half the gate weighs 1/4, and a step below this is left
+# to the coarse pass.
+WIDE_SCALE_SHARE = 0.5  # of `search_gate`
+WIDE_TOLERANCE_M = 0.05
+
 
 class MatchConfig(BaseModel):
     """The scan matcher."""
@@ -45,7 +57,7 @@ class MatchConfig(BaseModel):
     lasting: float = Field(
         1.15,
         ge=1,
-        description="the same factor as far as `keyframes.method = information` foresees chains "
+        description="the same factor where `keyframes.method = information` predicts chains "
         "of matches: some errors stay while the same things are in view",
     )
     floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
@@ -56,7 +68,7 @@ class MatchConfig(BaseModel):
         """(2, 4): gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass."""
         return np.array(
             [
-                [0.6, 0.2, 0.02, self.coarse_beams],
+                [COARSE_GATE_M, COARSE_SCALE_M, COARSE_TOLERANCE_M, self.coarse_beams],
                 [self.final_gate, self.final_scale, self.tolerance, 0],
             ]
         )
@@ -64,12 +76,13 @@ class MatchConfig(BaseModel):
     @cached_property
     def passes_without_prior(self) -> Matrix:
         """(3, 4): the same with a first pass that reaches farther."""
-        wide = [self.search_gate, 0.5 * self.search_gate, 0.05, self.coarse_beams]
+        scale = WIDE_SCALE_SHARE * self.search_gate
+        wide = [self.search_gate, scale, WIDE_TOLERANCE_M, self.coarse_beams]
         return np.vstack([[wide], self.passes_with_prior])
 
     @cached_property
     def limits(self) -> tuple[float, float, float, float, int, int, float]:
-        """The last arguments of `align`: noise, variance, floors, iterations, pairs, quality."""
+        """The fields of `match_arrays.Limits`, as the plain tuple that `align` takes."""
         return (
             self.range_noise, self.range_noise**2 * self.correlation, self.floor_trans,
             self.floor_rot, self.iterations, self.min_pairs, self.good_inlier_fraction,
@@ -91,7 +104,7 @@ class Prior(NamedTuple):
 
 
 class MatchResult(NamedTuple):
-    """All that a match knows; covariances are of (x, y, theta) in the source frame.
+    """The outcome of a match; covariances are of (x, y, theta) in the source frame.
 
     A tuple is made in a quarter of the time that a frozen dataclass takes.
     """
@@ -101,13 +114,12 @@ class MatchResult(NamedTuple):
     covariance: Matrix  # (3, 3) of the pose, the prior included
     pairs: int
     pair_inlier_fraction: float  # share of the pairs within `final_scale` of their line
-    overlap: float  # share of the beams that found a partner in any reference
+    overlap: float  # share of the beams with a correspondence in any reference
     inlier_fraction: float  # share of the beams that fit a line of any reference
     rms: float  # m, robust, of the residuals
-    degenerate_direction: (
-        float | None
-    )  # rad, direction in the source frame that the prior carries, if any
-    condition_ratio: float  # own sigma over the prior's sigma along that axis (or the weakest one)
+    # rad in the source frame, the direction that the prior knows better, if there is one
+    degenerate_direction: float | None
+    condition_ratio: float  # own sigma over the prior's along the weak direction (`degeneracy`)
     iterations: int
     converged: bool
     reason: str  # why it was refused; empty when it was not

@@ -1,4 +1,4 @@
-"""`match`: where was the robot, given what it sees now and what it saw before."""
+"""`match`: the motion between scans, by point-to-line ICP against several references at once."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from slam.frontend.align_kernels import align
-from slam.frontend.alternatives import find_pose
+from slam.frontend.degeneracy import is_degenerate
 from slam.frontend.match_types import MatchConfig, MatchResult, Matrix, Prior, Reference, Triple
+from slam.frontend.other_methods import find_pose
 from slam.frontend.scan import PreparedScan
 
 # An iteration that still swings by a few tolerances stands well within the bias floor.
 CONVERGED_TOLERANCES = 10.0
 
-# Other starts about a guess that nothing vouches for: turned, or moved along or across.
+# Other starts about a guess that nothing supports: turned, or moved along or across.
 OTHER_STARTS = np.array(
     [
         *((0.0, 0.0, turn) for turn in (0.21, -0.21, 0.42, -0.42)),
@@ -27,7 +28,7 @@ OTHER_STARTS = np.array(
 NO_STARTS = np.empty((0, 3))
 
 _NO_INFORMATION = np.zeros((3, 3))
-# What stands in for a missing prior: a metre and a radian know nothing, but keep matrices regular.
+# In place of a missing prior: 1 m and 1 rad carry no information but keep matrices regular.
 _IGNORANCE = np.eye(3)
 
 
@@ -41,7 +42,7 @@ def match(
     """Align `source` to all references at once, starting from `guess` (target_T_source).
 
     A refused match is an outcome: `converged` is False and `reason` says why; the pose is then
-    the guess.  With a prior, an axis that the scans do not see keeps what the prior says.
+    the guess.  With a prior, a direction that the scans do not constrain keeps the prior's value.
     """
     start = guess.x(), guess.y(), guess.theta()
     if not math.isfinite(sum(start)):
@@ -99,8 +100,8 @@ def _align(
         x, y, theta, information, covariance, last_step, iterations, axis, condition_ratio,
         pairs, inliers, paired, fitting, tried, cost, weight,
     ) = align(
-        source.points, source.lines, source.flags, source.geometry, *stack,
-        *start, *centre, known, prior is not None, passes, others, *config.limits,
+        (source.points, source.lines, source.flags, source.geometry), stack, start,
+        (centre, known, prior is not None), passes, others, config.limits,
     )  # fmt: skip
     if pairs < config.min_pairs:
         return _refused(guess, prior, f"only {pairs} pairs")
@@ -112,13 +113,13 @@ def _align(
         reason = f"only {100 * pair_inlier_fraction:.0f} % of the pairs fit"
     return MatchResult(
         Pose2(x, y, theta), information, covariance, pairs, pair_inlier_fraction, paired / tried,
-        fitting / tried, math.sqrt(cost / weight), axis if condition_ratio > 1.0 else None,
+        fitting / tried, math.sqrt(cost / weight), axis if is_degenerate(condition_ratio) else None,
         condition_ratio, iterations, not reason, reason,
     )  # fmt: skip
 
 
 def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
-    """The references' arrays end to end, as the kernels take them."""
+    """The references end to end: the fields of `match_arrays.References`."""
     used = [r for r in references if r.scan.valid > 2]
     if not used:
         return None

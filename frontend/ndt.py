@@ -6,7 +6,7 @@ import numpy as np
 from slam.frontend.compiled import allocating_part, kernel
 from slam.frontend.icp_kernels import solve3
 
-MIN_POINTS = 5  # a cell with fewer says nothing about its shape
+MIN_POINTS = 5  # a cell with fewer has no shape
 MIN_RATIO = 0.001  # smallest eigenvalue of a cell over its largest, as in the paper
 
 

@@ -4,30 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import bare_kernel
-from slam.frontend.icp_kernels import nearest_beam
+from slam.frontend.correspondence_kernels import nearest_beam
+from slam.frontend.match_arrays import References
 from slam.frontend.scan_kernels import VALID
 
 
 @bare_kernel
-def point_to_point(
-    source_points,
-    source_flags,
-    points,
-    starts,
-    geometries,
-    reach2,
-    poses,
-    pose,
-    gate,
-    iterations,
-    tolerance,
-):
+def point_to_point(points, flags, references, pose, gate, iterations, tolerance):
     """Move `pose` (3,) until nearest points agree best; returns (last step in m, iterations).
 
+    `points` (n, 2) and `flags` (n,) are the source's, `references` the fields of `References`.
     Every point of the source is paired with the nearest point of each reference within `gate`
     (m); rotation and translation follow in closed form.  No weights and no second gate: what the
     paper describes, with its pull towards zero motion where scans are discrete.
     """
+    stack = References(*references)
+    poses = stack.poses
     size = np.inf
     for iteration in range(iterations):
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -35,29 +27,21 @@ def point_to_point(
         dot, cross = 0.0, 0.0
         for ref in range(len(poses)):
             cr, sr = np.cos(poses[ref, 2]), np.sin(poses[ref, 2])
-            first, n = starts[ref], starts[ref + 1] - starts[ref]
-            for i in range(len(source_points)):
-                if not source_flags[i] & VALID:
+            first = stack.starts[ref]
+            for i in range(len(points)):
+                if not flags[i] & VALID:
                     continue
                 # The point in the target frame, and in that of the reference.
-                px = c * source_points[i, 0] - s * source_points[i, 1] + pose[0]
-                py = s * source_points[i, 0] + c * source_points[i, 1] + pose[1]
+                px = c * points[i, 0] - s * points[i, 1] + pose[0]
+                py = s * points[i, 0] + c * points[i, 1] + pose[1]
                 dx, dy = px - poses[ref, 0], py - poses[ref, 1]
-                j, _ = nearest_beam(
-                    cr * dx + sr * dy,
-                    cr * dy - sr * dx,
-                    points,
-                    first,
-                    n,
-                    geometries,
-                    reach2,
-                    ref,
-                    gate * gate,
-                )
+                u, v = cr * dx + sr * dy, cr * dy - sr * dx
+                j, _ = nearest_beam(u, v, stack, ref, gate * gate)
                 if j < 0:
                     continue
-                qx = cr * points[first + j, 0] - sr * points[first + j, 1] + poses[ref, 0]
-                qy = sr * points[first + j, 0] + cr * points[first + j, 1] + poses[ref, 1]
+                nx, ny = stack.points[first + j, 0], stack.points[first + j, 1]
+                qx = cr * nx - sr * ny + poses[ref, 0]
+                qy = sr * nx + cr * ny + poses[ref, 1]
                 count += 1
                 sx, sy, tx, ty = sx + px, sy + py, tx + qx, ty + qy
                 dot += px * qx + py * qy

@@ -51,7 +51,7 @@ def project(source_points, source_flags, geometry, n, pose, ranges):
 def _turn(reference, ranges, step):
     """The turn (rad) that makes the ranges agree best, by a search and a parabola (section 2.3)."""
     n = len(reference)
-    most = min(int(np.ceil(SEARCH / step)), n - 1)  # beyond, no beam has a partner
+    most = min(int(np.ceil(SEARCH / step)), n - 1)  # beyond, no beam has a counterpart
     errors = np.empty(2 * most + 1)
     for shift in range(-most, most + 1):
         total, count = 0.0, 0

@@ -39,7 +39,7 @@ class ScanConfig(BaseModel):
         0.20, gt=0, description="rad, less certain normals are not used as lines"
     )
     deskew: bool = Field(
-        False, description="take the motion during a sweep out of scans that tell their timing"
+        False, description="take the motion during a sweep out of scans that carry their timing"
     )
 
 
@@ -71,7 +71,7 @@ class PreparedScan(NamedTuple):
         return np.hypot(offsets[:, 0], offsets[:, 1])
 
 
-SLACK = 3e-4  # rad, more than the error of `bearing_of`
+BEARING_ERROR = 3e-4  # rad, more than the error of `bearing_of`
 REACH = 384  # beams: 90 degrees and more at 0.25 degrees
 
 
@@ -79,9 +79,9 @@ REACH = 384  # beams: 90 degrees and more at 0.25 degrees
 def reach_table(step: float) -> NDArray[np.float64]:
     """(1, REACH) sin^2 of the least angle to the k-th beam from the nearest, at most 1.
 
-    The nearest beam of `step` (rad) is up to half a step off, and its bearing is known to SLACK.
+    The nearest beam of `step` (rad) is up to half a step off, its bearing up to BEARING_ERROR.
     """
-    angles = np.maximum((np.arange(REACH) - 0.5) * step - SLACK, 0.0)
+    angles = np.maximum((np.arange(REACH) - 0.5) * step - BEARING_ERROR, 0.0)
     table: NDArray[np.float64] = np.sin(np.minimum(angles, 0.5 * np.pi))[None] ** 2
     table.setflags(write=False)
     return table
@@ -99,9 +99,9 @@ def prepare(scan: LaserScan, extrinsics: LaserExtrinsics, config: ScanConfig) ->
     first = math.remainder(angle_min + extrinsics.theta, 2 * math.pi)  # the search wraps but once
     nearest, farthest = max(scan.range_min, 1e-3), min(scan.range_max, config.max_range)
     points, lines, windows, flags, geometries, centre, starts, valid = read_scan(
-        ranges, first, float(step), float(extrinsics.x), float(extrinsics.y), whole,
-        nearest, float(farthest), config.range_noise, config.line_tolerance,
-        config.gap_ratio, config.normal_sigma_max,
+        ranges, (first, float(step), float(extrinsics.x), float(extrinsics.y), whole),
+        (float(nearest), float(farthest)),
+        (config.range_noise, config.line_tolerance, config.gap_ratio, config.normal_sigma_max),
     )  # fmt: skip
     for array in (points, lines, windows, flags, geometries, centre):
         array.setflags(write=False)

@@ -19,32 +19,31 @@ LINE = 2  # and a line could be fitted there
 
 
 @kernel
-def read_scan(
-    ranges,
-    angle_min,
-    step,
-    mount_x,
-    mount_y,
-    whole,
-    nearest,
-    farthest,
-    noise,
-    tolerance,
-    gap_ratio,
-    sigma_max,
-):
+def read_scan(ranges, laser, limits, fit):
     """All arrays of a prepared scan from its ranges (n,); lengths in m, angles in rad.
 
-    `whole` is how many beams a whole turn has.  Returns points (n, 2), lines (n, 5),
-    windows (n, 2), flags (n,), geometries (1, 5), centre (2,), starts (2,) and how many are valid.
+    Args:
+        ranges: (n,) m.
+        laser: first bearing and step in the base frame, the laser's x and y, and how many beams a
+            whole turn has.
+        limits: nearest and farthest range that is used.
+        fit: one sigma of a range, sigmas that count as noise, gap ratio and largest sigma of a
+            normal, see `ScanConfig`.
+
+    Returns:
+        Points (n, 2), lines (n, 5), windows (n, 2), flags (n,), geometries (1, 5), centre (2,),
+        starts (2,) and how many beams are valid.
     """
+    angle_min, step, laser_x, laser_y, whole = laser
+    nearest, farthest = limits
+    noise, tolerance, gap_ratio, sigma_max = fit
     n = len(ranges)
     points, lines = np.empty((n, 2)), np.empty((n, 5))
     windows, flags = np.empty((n, 2), dtype=np.int32), np.empty(n, dtype=np.uint8)
     geometries, centre = np.empty((1, 5)), np.empty(2)
     geometry = geometries[0]
     geometry[0], geometry[1] = angle_min, step
-    geometry[2], geometry[3], geometry[4] = mount_x, mount_y, whole
+    geometry[2], geometry[3], geometry[4] = laser_x, laser_y, whole
     starts = np.empty(2, dtype=np.int64)
     starts[0], starts[1] = 0, n
     valid = place_points(ranges, geometry, nearest, farthest, points, flags, centre)

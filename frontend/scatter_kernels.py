@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from slam.frontend.compiled import kernel, part
-from slam.frontend.icp_kernels import in_reference
+from slam.frontend.correspondence_kernels import in_reference
 from slam.frontend.scan_kernels import LINE
 
 
@@ -21,23 +21,11 @@ def add_outer(out, weight, x, y, t):
 
 
 @kernel
-def scatter(
-    source_points,
-    source_geometry,
-    points,
-    lines,
-    windows,
-    flags,
-    starts,
-    geometries,
-    noise,
-    poses,
-    pose,
-    partners,
-    scale,
-    out,
-):
+def scatter(source, references, pose, pairs, scale, noise, out):
     """Variance of the gradient for unit range noise, `out` (6): xx, xy, xt, yy, yt, tt.
+
+    Taken at `pose` (3,), target_T_source, with the pairs (m, n) and weights of the robust `scale`
+    (m); `noise` is one sigma of a range, m.  Returns the residuals' variance over what is expected.
 
     Noise acts along the beam, so a wall seen at a grazing angle is known better across than
     along the beam.  A beam of the source errs once for all its pairs; a beam of a reference errs
@@ -47,19 +35,20 @@ def scatter(
     """
     found, expected = 0.0, 0.0
     inverse_scale2, unit = 1.0 / (scale * scale), 1.0 / (noise * noise)
-    ox, oy = source_geometry[2], source_geometry[3]
-    by_beam = np.zeros((len(source_points), 3))
+    points, lines, windows = source.points, references.lines, references.windows
+    ox, oy = source.geometry[2], source.geometry[3]
+    by_beam = np.zeros((len(points), 3))
     out[:] = 0.0
-    for ref in range(len(partners)):
+    for ref in range(len(pairs)):
         # Gradient that each beam of the reference carries: constant, and per m in x and y; each
         # line adds to a run of beams, so the sums are kept as differences.
-        runs = np.zeros((starts[ref + 1] - starts[ref] + 1, 9))
-        c, s, tx, ty = in_reference(poses, ref, pose[0], pose[1], pose[2])
-        for i in range(len(source_points)):
-            j = partners[ref, i]
+        runs = np.zeros((references.starts[ref + 1] - references.starts[ref] + 1, 9))
+        c, s, tx, ty = in_reference(references.poses, ref, pose[0], pose[1], pose[2])
+        for i in range(len(points)):
+            j = pairs[ref, i]
             if j < 0:
                 continue
-            qx, qy = source_points[i, 0], source_points[i, 1]
+            qx, qy = points[i, 0], points[i, 1]
             px, py = c * qx - s * qy + tx, s * qx + c * qy + ty
             nx, ny = lines[j, 0], lines[j, 1]
             ax, ay = c * nx + s * ny, c * ny - s * nx
@@ -81,21 +70,27 @@ def scatter(
             lever = (nx * py - ny * px - middle) * lines[j, 3] * unit
             constant, along_x, along_y = share - lever * middle, -ny * lever, nx * lever
             add_run(runs, a, b + 1, gx, gy, gt, constant, along_x, along_y)
-        sum_runs(runs, points, lines, flags, starts[ref], geometries[ref, 2:4], out)
-    for i in range(len(source_points)):
+        sum_runs(runs, references, ref, out)
+    for i in range(len(points)):
         gx, gy, gt = by_beam[i, 0], by_beam[i, 1], by_beam[i, 2]
         size2 = gx * gx + gy * gy
         if size2 > 0.0:
             # The gradient points along the normal: its cosine with the beam.
-            ux, uy = source_points[i, 0] - ox, source_points[i, 1] - oy
+            ux, uy = points[i, 0] - ox, points[i, 1] - oy
             across = gx * ux + gy * uy
             add_outer(out, across * across / (size2 * (ux * ux + uy * uy)), gx, gy, gt)
     return found / max(expected * noise * noise, 1e-300)
 
 
 @part
-def sum_runs(runs, points, lines, flags, first, origin, out):
-    """Add what each beam of a reference carries to `out` (6): `runs` (n + 1, 9) are differences."""
+def sum_runs(runs, references, ref, out):
+    """Add what each beam of reference `ref` carries to `out` (6).
+
+    `runs` (beams + 1, 9) are differences between neighbouring beams.
+    """
+    points, lines, flags = references.points, references.lines, references.flags
+    first = references.starts[ref]
+    ox, oy = references.geometries[ref, 2], references.geometries[ref, 3]
     g0 = g1 = g2 = x0 = x1 = x2 = y0 = y1 = y2 = 0.0
     # Sums in plain variables, as in `accumulate`.
     xx, xy, xt, yy, yt, tt = out[0], out[1], out[2], out[3], out[4], out[5]
@@ -107,7 +102,7 @@ def sum_runs(runs, points, lines, flags, first, origin, out):
         if not flags[i] & LINE:
             continue
         px, py = points[i, 0], points[i, 1]
-        ux, uy = px - origin[0], py - origin[1]
+        ux, uy = px - ox, py - oy
         across = lines[i, 0] * ux + lines[i, 1] * uy
         weight = across * across / (ux * ux + uy * uy)
         x, y, t = g0 + x0 * px + y0 * py, g1 + x1 * px + y1 * py, g2 + x2 * px + y2 * py

@@ -10,6 +10,7 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.backend.pose_graph import Edge, PoseGraph
+from slam.frontend.degeneracy import well_constrained
 from slam.frontend.loop_search import Closure, close_loop, target_field
 from slam.frontend.match_types import Reference
 from slam.frontend.scan import PreparedScan
@@ -79,8 +80,7 @@ def relocalise(
     assert best.result is not None
     edge = Edge("icp", anchor, len(graph), best.result.target_T_source, best.result.information)
     # In a corridor the position along it would stay open.
-    well_constrained = np.linalg.eigvalsh(graph.weight(edge)[:2, :2])[0] > 1.0 / ELSEWHERE_M**2
-    return edge if well_constrained else None
+    return edge if well_constrained(graph.weight(edge), ELSEWHERE_M) else None
 
 
 def _places(poses: Matrix, start: Pose2 | None) -> list[int]:

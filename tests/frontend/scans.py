@@ -6,6 +6,7 @@ import numpy as np
 from gtsam import Pose2
 from slam.drivers.simulators.laser import LASERS, LaserConfig, take_scan
 from slam.drivers.simulators.world import World
+from slam.frontend.match_arrays import References
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import ScanConfig, prepare
@@ -57,3 +58,18 @@ def match_one(target, source, guess, prior=None, **settings):
 def error_of(result, truth):
     """(x, y, theta) of the error in the source frame."""
     return np.asarray(Pose2.Logmap(truth.between(result.target_T_source)))
+
+
+def stacked(scans):
+    """Scans end to end, all at the origin, as the kernels take them."""
+    points, lines, windows, flags = (
+        np.concatenate([getattr(scan, name) for scan in scans])
+        for name in ("points", "lines", "windows", "flags")
+    )
+    return References(
+        points, lines, windows, flags,
+        starts=np.cumsum([0, *(len(scan.points) for scan in scans)]),
+        geometries=np.array([scan.geometry for scan in scans]),
+        reach2=np.array([scan.reach2 for scan in scans]),
+        poses=np.zeros((len(scans), 3)),
+    )  # fmt: skip

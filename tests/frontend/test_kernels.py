@@ -1,28 +1,31 @@
-"""The kernels on their own: the search by bearing, small matrices, the caches of compiled code."""
-
-import os
+"""The kernels on their own: the search by bearing, small matrices, lines."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from slam.frontend import covariance_kernels, icp_kernels, scan_kernels
+from slam.frontend import (
+    correspondence_kernels,
+    covariance_kernels,
+    degeneracy,
+    icp_kernels,
+    scan_kernels,
+)
 from slam.frontend.compiled import kernel
 from slam.frontend.scan import LINE, prepare
 from slam.logs.messages import LaserExtrinsics, LaserScan
 
-from tests.conftest import stale
-from tests.frontend.scans import CENTRED, SCAN
+from tests.frontend.scans import CENTRED, SCAN, stacked
 
 finite = st.floats(-8, 8)
 
 # Parts are compiled into the kernels that call them; here each is a kernel of its own.
 combine = kernel(covariance_kernels.combine.py_func)
 invert3 = kernel(covariance_kernels.invert3.py_func)
-weakest_direction = kernel(covariance_kernels.weakest_direction.py_func)
-bearing_of = kernel(icp_kernels.bearing_of.py_func)
-eigen2 = kernel(icp_kernels.eigen2.py_func)
-nearest_beam = kernel(icp_kernels.nearest_beam.py_func)
+weakest_direction = kernel(degeneracy.weakest_direction.py_func)
+bearing_of = kernel(correspondence_kernels.bearing_of.py_func)
+weak_direction = kernel(degeneracy.weak_direction.py_func)
+nearest_beam = kernel(correspondence_kernels.nearest_beam.py_func)
 solve3 = kernel(icp_kernels.solve3.py_func)
 fit_lines = kernel(scan_kernels.fit_lines.py_func)
 
@@ -46,10 +49,7 @@ def fields(draw):
 @settings(deadline=None, max_examples=400)
 @given(fields(), finite, finite, st.floats(0.01, 20))
 def test_nearest_beam_is_the_nearest_of_all(scan, x, y, gate):
-    n = len(scan.points)
-    j, d2 = nearest_beam(
-        x, y, scan.points, 0, n, scan.geometry[None], scan.reach2[None], 0, gate * gate
-    )
+    j, d2 = nearest_beam(x, y, stacked([scan]), 0, gate * gate)
     distances2 = ((scan.points - [x, y]) ** 2).sum(axis=1)
     near = np.nan_to_num(distances2, nan=np.inf)
     if near.min() < gate * gate:
@@ -62,12 +62,8 @@ def test_nearest_beam_is_the_nearest_of_all(scan, x, y, gate):
 @settings(deadline=None, max_examples=100)
 @given(fields(), fields(), finite, finite)
 def test_nearest_beam_looks_at_its_own_reference_only(one, other, x, y):
-    points = np.concatenate([one.points, other.points])
-    geometries = np.array([one.geometry, other.geometry])
-    reach2 = np.array([one.reach2, other.reach2])
-    first, n = len(one.points), len(other.points)
-    joined = nearest_beam(x, y, points, first, n, geometries, reach2, 1, 4.0)
-    alone = nearest_beam(x, y, other.points, 0, n, other.geometry[None], other.reach2[None], 0, 4.0)
+    joined = nearest_beam(x, y, stacked([one, other]), 1, 4.0)
+    alone = nearest_beam(x, y, stacked([other]), 0, 4.0)
     assert joined == alone
 
 
@@ -102,11 +98,11 @@ def test_singular_systems_are_refused(a):
 
 @settings(deadline=None)
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(-1.5, 1.5))
-def test_eigen2_names_the_direction_of_the_smaller_eigenvalue(low, extra, angle):
+def test_the_weak_direction_is_that_of_the_smaller_eigenvalue(low, extra, angle):
     c, s = np.cos(angle), np.sin(angle)
     high = low + extra
     a, b, d = low * c * c + high * s * s, (low - high) * c * s, low * s * s + high * c * c
-    small, large, found = eigen2(a, b, d)
+    small, large, found = weak_direction(a, b, d)
     assert small == pytest.approx(low, rel=1e-6)
     assert large == pytest.approx(high, rel=1e-6)
     assert abs(np.sin(found - angle)) < 1e-5
@@ -163,13 +159,5 @@ def test_points_that_coincide_have_no_line():
     assert np.isfinite(lines).all()
 
 
-def test_compiled_kernels_older_than_any_source_are_stale(tmp_path):
-    source, old, new = tmp_path / "a_kernels.py", tmp_path / "a.nbi", tmp_path / "b.nbc"
-    for path, when in ((old, 100), (source, 200), (new, 300)):
-        path.touch()
-        os.utime(path, (when, when))
-    assert stale(tmp_path, [source]) == [old]
-
-
 def test_a_part_is_plain_python_to_python():
-    assert icp_kernels.eigen2(2.0, 0.0, 1.0) == eigen2(2.0, 0.0, 1.0)
+    assert degeneracy.weak_direction(2.0, 0.0, 1.0) == weak_direction(2.0, 0.0, 1.0)

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slam.frontend import icp_kernels
 from slam.frontend.compiled import kernel
-from slam.frontend.icp_kernels import COST, PAIRS, SYSTEM
+from slam.frontend.degeneracy import STRONGEST_PAIRS
+from slam.frontend.match_arrays import COST, PAIRS, SYSTEM, Pass, Source, Workspace
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import prepare
@@ -25,6 +26,7 @@ from tests.frontend.scans import (
     match_one,
     prior_at,
     see,
+    stacked,
 )
 
 START = Pose2(0.0, 0.0, 0.3)
@@ -106,16 +108,16 @@ def test_normal_equations_agree_with_finite_differences(laser):
     """With pairs held fixed and a scale so wide that all weigh alike, g and H are exact."""
     motion = Pose2(0.3, 0.05, 0.1)
     target, source = see(START, laser, 1), see(START * motion, laser, 2)
-    pose, partners = motion * Pose2(0.02, -0.01, 0.01), _partners(source)
-    system = _sums(target, source, pose, partners, search=True)
+    pose, pairs = motion * Pose2(0.02, -0.01, 0.01), _no_pairs(source)
+    system = _sums(target, source, pose, pairs, search=True)
     assert system[PAIRS] > 100
     H = np.array([[system[0], system[1], system[2]], [0, system[3], system[4]], [0, 0, system[5]]])
     H = H + np.triu(H, 1).T
     step = 1e-5
     gradient, hessian = np.empty(3), np.empty((3, 3))
     for k, axis in enumerate(np.eye(3) * step):
-        ahead = _sums(target, source, pose * Pose2.Expmap(axis), partners, search=False)
-        behind = _sums(target, source, pose * Pose2.Expmap(-axis), partners, search=False)
+        ahead = _sums(target, source, pose * Pose2.Expmap(axis), pairs, search=False)
+        behind = _sums(target, source, pose * Pose2.Expmap(-axis), pairs, search=False)
         gradient[k] = (ahead[COST] - behind[COST]) / (2 * step) / 2
         hessian[k] = (ahead[6:9] - behind[6:9]) / (2 * step)
     np.testing.assert_allclose(system[6:9], gradient, rtol=1e-5, atol=1e-6)
@@ -126,28 +128,29 @@ def test_normal_equations_agree_with_finite_differences(laser):
 def test_robust_weights_are_the_derivative_of_the_robust_cost():
     motion = Pose2(0.3, 0.05, 0.1)
     target, source = see(START, seed=1), see(START * motion, seed=2)
-    pose, partners = motion * Pose2(0.03, -0.02, 0.01), _partners(source)
-    system = _sums(target, source, pose, partners, search=True, scale=0.05)
+    pose, pairs = motion * Pose2(0.03, -0.02, 0.01), _no_pairs(source)
+    system = _sums(target, source, pose, pairs, search=True, scale=0.05)
     step = 1e-6
     for k, axis in enumerate(np.eye(3) * step):
-        ahead = _sums(target, source, pose * Pose2.Expmap(axis), partners, False, 0.05)
-        behind = _sums(target, source, pose * Pose2.Expmap(-axis), partners, False, 0.05)
+        ahead = _sums(target, source, pose * Pose2.Expmap(axis), pairs, False, 0.05)
+        behind = _sums(target, source, pose * Pose2.Expmap(-axis), pairs, False, 0.05)
         slope = (ahead[COST] - behind[COST]) / (2 * step) / 2
         assert system[6 + k] == pytest.approx(slope, rel=1e-4, abs=1e-6)
 
 
-def _partners(source):
+def _no_pairs(source):
     return np.full((1, len(source.points)), -1, dtype=np.int32)
 
 
-def _sums(target, source, pose, partners, search, scale=1e6):
+def _sums(target, source, pose, pairs, search, scale=1e6):
     system = np.zeros(SYSTEM)
-    accumulate(
-        source.points, source.lines, source.flags, 1, target.points, target.lines, target.flags,
-        np.array([0, len(target.points)]), target.geometry[None], target.reach2[None],
-        np.zeros((1, 3)), pose.x(), pose.y(), pose.theta(), 1.0, scale, search, partners,
-        np.empty((1, 4)), system,
-    )  # fmt: skip
+    work = Workspace(
+        pairs, system, np.empty((1, 4)), np.empty((4, 6)), np.empty(4), np.empty(STRONGEST_PAIRS)
+    )
+    level = Pass(gate=1.0, scale=scale, tolerance=1e-4, stride=1, noise=0.01, iterations=1)
+    scan = Source(source.points, source.lines, source.flags, source.geometry)
+    at = np.array([pose.x(), pose.y(), pose.theta()])
+    accumulate(scan, stacked([target]), at, level, search, work)
     return system
 
 

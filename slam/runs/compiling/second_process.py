@@ -1,6 +1,6 @@
 """Compiles half of the kernels in a second process, whose program this module is.
 
-Both leave what they compile in the cache on disk, where each finds what the other has made.
+Both keep what they compile in the cache on disk, where each finds what the other has compiled.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gtsam import Pose2
 from slam.frontend.align_kernels import align
 from slam.frontend.correlative import CorrelativeConfig, Window, build_field, search
 from slam.frontend.covariance_kernels import own_information
-from slam.frontend.icp_kernels import SYSTEM
+from slam.frontend.match_arrays import SYSTEM, References, Source
 from slam.frontend.match_types import MatchConfig, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
@@ -30,17 +30,23 @@ _PATIENCE_S = 120.0
 
 
 def compiled() -> bool:
-    """Whether the cache holds a matcher compiled since its source was last changed."""
+    """Whether the matcher has been compiled and kept, from the sources as they are."""
     source = Path(align.py_func.__code__.co_filename)
-    kept = Path(align.stats.cache_path).glob(f"{source.stem}.align-*.nbi")
-    return any(index.stat().st_mtime > source.stat().st_mtime for index in kept)
+    return kept_on_disk() and any(
+        Path(align.stats.cache_path).glob(f"{source.stem}.align-*.nbi")  # the folder is by sources
+    )
+
+
+def kept_on_disk() -> bool:
+    """Whether there is a cache at all, through which two processes can share their kernels."""
+    return align.stats.cache_path is not None
 
 
 @contextmanager
 def compiling_in_second_process() -> Iterator[None]:
     """Have a second process compile its share meanwhile, and wait for it at the end.
 
-    Whatever becomes of it: what it leaves undone is compiled at its first use.
+    If it fails, what is missing is compiled at its first use.
     """
     quiet = subprocess.DEVNULL
     child = subprocess.Popen(
@@ -56,24 +62,22 @@ def compiling_in_second_process() -> Iterator[None]:
 
 
 def compile_matcher() -> None:
-    """Compile all that a match needs; it is refused."""
+    """Compile all that a match needs, by a match that is refused."""
     scan = blank_scan()
     match([Reference(Pose2(), scan)], scan, Pose2(), MatchConfig())
 
 
 def compile_share() -> None:
-    """Call each kernel of this share as the pipeline and the matcher do.
+    """Call each kernel of this share with the types that the mapping and the matcher use.
 
-    First those that the matcher needs last; the rest is for later.
+    First those that the matcher needs last, then the kernels that come after it.
     """
     scan = blank_scan()
-    starts, geometries, _ = scan.alone
-    places, partners = np.zeros((1, 3)), np.full((1, len(scan.points)), -1, np.int32)
-    gradient = np.zeros(6)
-    scatter(
-        scan.points, scan.geometry, scan.points, scan.lines, scan.windows, scan.flags, starts,
-        geometries, 0.01, places, places[0], partners, 0.04, gradient,
-    )  # fmt: skip
+    poses, gradient = np.zeros((1, 3)), np.zeros(6)
+    pairs = np.full((1, len(scan.points)), -1, np.int32)
+    source = Source(scan.points, scan.lines, scan.flags, scan.geometry)
+    references = References(scan.points, scan.lines, scan.windows, scan.flags, *scan.alone, poses)
+    scatter(source, references, poses[0], pairs, 0.04, 0.01, gradient)
     own_information(np.zeros(SYSTEM), gradient, 1e-4, 0.0, 0.0, np.empty((3, 3)))
     room = measure_room(0, 0.0)
     seen = prepare(room, LaserExtrinsics(0, 0.0, 0.0, 0.0), ScanConfig())
@@ -83,9 +87,9 @@ def compile_share() -> None:
 
 
 def blank_scan(beams: int = 20) -> PreparedScan:
-    """A scan that saw nothing, though it claims to, with arrays of the kinds that `prepare` makes.
+    """A scan without points that claims to have some, with arrays of the types of `prepare`.
 
-    With it the matcher compiles before the kernels that prepare a scan have.
+    With it the matcher is compiled before the kernels that prepare a scan are.
     """
     points, lines = np.full((beams, 2), np.nan), np.zeros((beams, 5))
     windows, flags = np.zeros((beams, 2), np.int32), np.zeros(beams, np.uint8)

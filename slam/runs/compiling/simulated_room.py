@@ -1,4 +1,4 @@
-"""What a laser would measure in a room that is nowhere: food for kernels that shall compile."""
+"""A scan of an imaginary room, for kernels to be compiled with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiles the pipeline's kernels before a robot waits for them."""
+"""Compiles the kernels of the mapping before a robot waits for them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from slam.runs.compiling.second_process import (
     compile_matcher,
     compiled,
     compiling_in_second_process,
+    kept_on_disk,
 )
 from slam.runs.compiling.simulated_room import measure_room
 from slam.runs.offline import run_offline
@@ -18,25 +19,25 @@ _SCANS = 40
 
 
 def warm_up(config: SlamConfig) -> None:
-    """Map an imaginary room; takes some 20 s the first time, and half a second ever after.
+    """Map an imaginary room; takes some 20 s the first time, and half a second after that.
 
-    The room is driven to and fro once; a leap of the odometry calls for the search.
+    The robot drives to and fro once; a jump of the odometry makes the loop search run.
     """
-    if usable_cores() > 1 and not compiled():
+    if usable_cores() > 1 and kept_on_disk() and not compiled():
         with compiling_in_second_process():
             compile_matcher()
     run_offline(lambda: _drive(), _in_the_room(config))
 
 
 def _in_the_room(config: SlamConfig) -> SlamConfig:
-    """The methods of the settings alone: with the limits, the room might be of no use."""
+    """The methods of the settings, but the shipped limits: others may leave nothing to match."""
     shipped = SlamConfig()
     loops = shipped.loops.model_copy(update={"min_path_m": 1.0, "every_m": 0.3})
     methods = {
         name: getattr(shipped, name).model_copy(update={"method": getattr(config, name).method})
         for name in ("matcher", "keyframes")
     }
-    # No other kernel finds every scan its place, but a search tree, whose import takes its time.
+    # Placing every scan needs no further kernel, only a search tree, whose import takes long.
     localise = shipped.localise.model_copy(update={"every_scan": False})
     return shipped.model_copy(update={"loops": loops, "localise": localise, **methods})
 
@@ -46,7 +47,7 @@ def _drive() -> list[Message]:
     for k in range(_SCANS):
         x = _STEP_M * min(k, _SCANS - k) - 1.0
         stamp = round(k * _STEP_S * 1e9)
-        leap = 0.8 if k > _SCANS // 4 else 0.0
-        messages.append(WheelOdometry(stamp, x + leap, 0.0, 0.0))
+        jump = 0.8 if k > _SCANS // 4 else 0.0
+        messages.append(WheelOdometry(stamp, x + jump, 0.0, 0.0))
         messages.append(measure_room(stamp, x))
     return messages

@@ -27,10 +27,9 @@ def find_pose(
     """Pose (3,) by `config.method`, the size of its last step (m), and the iterations."""
     pose = guess.copy()
     if config.method == "point_to_point":
-        points, _, _, _, starts, geometries, reach2, poses = stack
         size, count = point_to_point(
-            source.points, source.flags, points, starts, geometries, reach2, poses, pose,
-            config.point_gate, 2 * config.iterations, config.tolerance,
+            source.points, source.flags, stack, pose, config.point_gate, 2 * config.iterations,
+            config.tolerance,
         )  # fmt: skip
     elif config.method == "ndt":
         cloud = np.concatenate([placed(r.target_T_scan, r.scan) for r in references])
