@@ -23,6 +23,9 @@ AXES = ("x", "y", "theta")
 PER_OCTAVE = 2  # distances at which a match is predicted; between them its variance is smooth
 FINER = 4  # distances tried between two of those
 MOST_BEAMS = 180  # cast into the scan
+# Factor on the variance that range noise alone explains, in chains of matches: some errors stay
+# while the same things are in view.
+CHAIN_CORRELATION = 1.15
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,6 +22,8 @@ COARSE_GATE_M = 0.6
 COARSE_SCALE_M = 0.2
 # Its tolerance: half the scale of the last pass, which begins where this one ends.
 COARSE_TOLERANCE_M = 0.02
+COARSE_BEAMS = 60  # of the source: three degrees apart at a view of 180
+TOLERANCE_M = 2e-4  # a smaller step ends the last pass; less than the floor of the covariance
 # The first pass without a prior: a pair at half the gate weighs 1/4, and a step below this is left
 # to the coarse pass.
 WIDE_SCALE_SHARE = 0.5  # of `search_gate`
@@ -39,11 +41,7 @@ class MatchConfig(BaseModel):
     search_gate: float = Field(2.0, gt=0, description="m, pairing distance when nothing is known")
     final_gate: float = Field(0.15, gt=0, description="m, pairing distance of the last pass")
     final_scale: float = Field(0.04, gt=0, description="m, residual at which a pair weighs 1/4")
-    coarse_beams: int = Field(60, ge=10, description="beams used before the last pass")
     iterations: int = Field(25, ge=1, description="at most, per pass")
-    point_gate: float = Field(0.5, gt=0, description="m, pairing distance of point_to_point")
-    ndt_cell: float = Field(1.0, gt=0, description="m, cell of ndt")
-    tolerance: float = Field(2e-4, gt=0, description="m, a smaller step ends the iteration")
     min_pairs: int = Field(15, ge=3, description="with fewer pairs the match is refused")
     good_inlier_fraction: float = Field(
         0.6, ge=0, le=1, description="share of beams that fit, below which other starts are tried"
@@ -54,12 +52,6 @@ class MatchConfig(BaseModel):
     correlation: float = Field(
         1.07, gt=0, description="factor on the covariance that range noise alone explains"
     )
-    lasting: float = Field(
-        1.15,
-        ge=1,
-        description="the same factor where `keyframes.method = information` predicts chains "
-        "of matches: some errors stay while the same things are in view",
-    )
     floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
     floor_rot: float = Field(0.00025, ge=0, description="rad, the same for the heading")
 
@@ -68,8 +60,8 @@ class MatchConfig(BaseModel):
         """(2, 4): gate (m), robust scale (m), tolerance (m) and beams (0 for all) of each pass."""
         return np.array(
             [
-                [COARSE_GATE_M, COARSE_SCALE_M, COARSE_TOLERANCE_M, self.coarse_beams],
-                [self.final_gate, self.final_scale, self.tolerance, 0],
+                [COARSE_GATE_M, COARSE_SCALE_M, COARSE_TOLERANCE_M, COARSE_BEAMS],
+                [self.final_gate, self.final_scale, TOLERANCE_M, 0],
             ]
         )
 
@@ -77,7 +69,7 @@ class MatchConfig(BaseModel):
     def passes_without_prior(self) -> Matrix:
         """(3, 4): the same with a first pass that reaches farther."""
         scale = WIDE_SCALE_SHARE * self.search_gate
-        wide = [self.search_gate, scale, WIDE_TOLERANCE_M, self.coarse_beams]
+        wide = [self.search_gate, scale, WIDE_TOLERANCE_M, COARSE_BEAMS]
         return np.vstack([[wide], self.passes_with_prior])
 
     @cached_property

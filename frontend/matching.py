@@ -11,7 +11,15 @@ import numpy as np
 from gtsam import Pose2
 from slam.frontend.align_kernels import align
 from slam.frontend.degeneracy import is_degenerate
-from slam.frontend.match_types import MatchConfig, MatchResult, Matrix, Prior, Reference, Triple
+from slam.frontend.match_types import (
+    TOLERANCE_M,
+    MatchConfig,
+    MatchResult,
+    Matrix,
+    Prior,
+    Reference,
+    Triple,
+)
 from slam.frontend.other_methods import find_pose
 from slam.frontend.scan import PreparedScan
 
@@ -75,7 +83,7 @@ def _alternative(
     at = found.x(), found.y(), found.theta()
     last_pass = config.passes_with_prior[-1:]
     judged = _align(stack, source, found, at, last_pass, NO_STARTS, config, prior)
-    if last_step > CONVERGED_TOLERANCES * config.tolerance:
+    if last_step > CONVERGED_TOLERANCES * TOLERANCE_M:
         reason = f"no convergence in {iterations} iterations"
         return judged._replace(
             target_T_source=found, iterations=iterations, converged=False, reason=reason
@@ -107,7 +115,7 @@ def _align(
         return _refused(guess, prior, f"only {pairs} pairs")
     pair_inlier_fraction = inliers / pairs
     reason = ""
-    if last_step > CONVERGED_TOLERANCES * config.tolerance:
+    if last_step > CONVERGED_TOLERANCES * TOLERANCE_M:
         reason = f"no convergence in {iterations} iterations"
     elif pair_inlier_fraction < config.min_pair_inlier_fraction:
         reason = f"only {100 * pair_inlier_fraction:.0f} % of the pairs fit"

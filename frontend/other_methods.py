@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-from slam.frontend.match_types import MatchConfig, Reference
+from slam.frontend.match_types import TOLERANCE_M, MatchConfig, Reference
 from slam.frontend.ndt import build_cells, ndt
 from slam.frontend.point_to_point import point_to_point
 from slam.frontend.psm import psm
 from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
+
+POINT_GATE_M = 0.5  # pairing distance of point_to_point
+NDT_CELL_M = 1.0  # cell of ndt, as in Biber and Strasser 2003
 
 
 def find_pose(
@@ -28,16 +31,16 @@ def find_pose(
     pose = guess.copy()
     if config.method == "point_to_point":
         size, count = point_to_point(
-            source.points, source.flags, stack, pose, config.point_gate, 2 * config.iterations,
-            config.tolerance,
+            source.points, source.flags, stack, pose, POINT_GATE_M, 2 * config.iterations,
+            TOLERANCE_M,
         )  # fmt: skip
     elif config.method == "ndt":
         cloud = np.concatenate([placed(r.target_T_scan, r.scan) for r in references])
-        cells, origin, shape = build_cells(cloud, config.ndt_cell)
+        cells, origin, shape = build_cells(cloud, NDT_CELL_M)
         valid = source.points[(source.flags & VALID) > 0]
         size, count = ndt(
-            cells, origin, shape, config.ndt_cell, valid, pose, 2 * config.iterations,
-            config.tolerance,
+            cells, origin, shape, NDT_CELL_M, valid, pose, 2 * config.iterations,
+            TOLERANCE_M,
         )  # fmt: skip
     else:
         pose, size, count = _match_polar(references, source, pose, config)
@@ -62,7 +65,7 @@ def _match_polar(
     local = np.array([scan_T_source.x(), scan_T_source.y(), scan_T_source.theta()])
     size, count = psm(
         source.points, source.flags, nearest.scan.ranges, nearest.scan.geometry, local,
-        3 * config.iterations, config.tolerance,
+        3 * config.iterations, TOLERANCE_M,
     )  # fmt: skip
     found = nearest.target_T_scan * Pose2(*local)
     return np.array([found.x(), found.y(), found.theta()]), size, count

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slam.drivers.simulators.drive import PAPER_LENGTHS_M, PAPER_SCANS, paper_drive
 from slam.drivers.simulators.laser import LASERS, LaserConfig
 from slam.drivers.simulators.paper_bed import BedConfig
-from slam.frontend.information import PredictionModel
+from slam.frontend.information import CHAIN_CORRELATION, PredictionModel
 from slam.frontend.keyframes import KeyframeConfig, interval_after, interval_ahead
 from slam.frontend.match_types import MatchConfig, Prior, Reference
 from slam.frontend.matching import match
@@ -122,7 +122,7 @@ def information(drive: Drive, with_odometry: bool) -> Length:
         return wheels.covariance(metres, radians, metres / speed)
 
     model = PredictionModel(
-        odometry, 1, matcher.range_noise, matcher.lasting, ScanConfig().gap_ratio,
+        odometry, 1, matcher.range_noise, CHAIN_CORRELATION, ScanConfig().gap_ratio,
         config.open.tolerance,
     )  # fmt: skip
     ahead = Pose2(1.0, 0.0, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from slam.frontend.information import PredictionModel
+from slam.frontend.information import CHAIN_CORRELATION, PredictionModel
 from slam.frontend.keyframes import (
     SHORTEST_M,
     Interval,
@@ -89,5 +89,5 @@ class KeyframeSelector:
 
         return PredictionModel(
             odometry, config.registration.references, config.matcher.range_noise,
-            config.matcher.lasting, config.scan.gap_ratio, self._rule.tolerance,
+            CHAIN_CORRELATION, config.scan.gap_ratio, self._rule.tolerance,
         )  # fmt: skip

@@ -40,7 +40,7 @@ RENAMED = {
 FIXED = {
     "keyframes.shortest", "keyframes.slack_open", "keyframes.narrowest", "keyframes.widest_open",
     "matcher.coarse_beams", "matcher.tolerance", "matcher.point_gate", "matcher.ndt_cell",
-    "matcher.lasting", "matcher.floor_trans", "matcher.floor_rot",
+    "matcher.lasting",
     "tracking.search", "tracking.search_reach", "tracking.search_turn", "tracking.search_score",
     "loops.places_apart_m", "loops.least_gain",
     "graph.anchor_sigma_trans", "graph.anchor_sigma_rot", "graph.relinearise_trans",

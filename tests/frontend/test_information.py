@@ -11,6 +11,7 @@ from slam.drivers.simulators.robot import drive
 from slam.drivers.simulators.world import World
 from slam.drivers.simulators.worlds import scenario
 from slam.frontend.information import (
+    CHAIN_CORRELATION,
     PredictionModel,
     best_distance,
     best_turn,
@@ -46,7 +47,7 @@ def model(scale=1.0):
         lambda metres, radians: unit @ odometry(metres / scale, radians) @ unit,
         6,
         scale * MATCH.range_noise,
-        MATCH.lasting,
+        CHAIN_CORRELATION,
         SCAN.gap_ratio,
         SLACK,
     )
@@ -119,7 +120,7 @@ def test_a_turned_world_changes_nothing(name, turn):
     """The laser is mounted askew by `turn` and the robot drives where the laser looks."""
     round_odometry = PredictionModel(
         lambda metres, radians: np.diag([0.05, 0.05, 0.03]) ** 2 * metres, 6, MATCH.range_noise,
-        MATCH.lasting, SCAN.gap_ratio, SLACK,
+        CHAIN_CORRELATION, SCAN.gap_ratio, SLACK,
     )  # fmt: skip
     world, scans = places(name, 4)
     for k, (pose, scan) in enumerate(scans):

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from slam.frontend.keyframes import SHORTEST_M, KeyframeConfig
-from slam.frontend.match_types import MatchConfig
+from slam.frontend.match_types import TOLERANCE_M, MatchConfig
 from slam.frontend.scan import VALID
 
 from benchmarks.paper import closest
@@ -100,7 +100,7 @@ def test_point_to_point_loses_most_of_the_way_and_point_to_line_does_not(drive):
 
 def test_the_open_icp_is_the_matcher_where_both_have_the_same_rules(drive):
     """Two searches for the nearest point, one by bearing and one that tries all."""
-    rules = Rules(iterations=50, tolerance=MatchConfig().tolerance)
+    rules = Rules(iterations=50, tolerance=TOLERANCE_M)
     ours = matched(drive, MatchConfig(method="point_to_point"), False)
     theirs = by_rules(drive, rules)
     for i, j in pairwise(every(40)):
