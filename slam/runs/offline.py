@@ -248,7 +248,7 @@ def _localise(
         for row, scan in enumerate(_scans_again(slam, _timed(source(), watch))):
             yield prepare(scan, slam.extrinsics, slam.config.scan), Pose2(*predicted.poses[row])
 
-    matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
+    matched = with_outcomes(prepared(), lambda seen: localiser.match_from(*seen), processes)
     for row, ((scan, guess), first) in enumerate(matched):
         odometry_faulty, reach_m = (
             bool(predicted.odometry_faulty[row]),
