@@ -12,7 +12,7 @@ import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.backend.chi_square import chi_square_limit
+from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
 from slam.frontend.loop_search import Closure, LoopSearchConfig
@@ -192,10 +192,8 @@ class LoopCloser:
             return None
         edge = Edge("loop", anchor, newest, result.target_T_source, result.information)
         error = Pose2.Logmap(predicted.between(result.target_T_source))
-        known = np.linalg.inv(covariance)
         # The match counts with what the graph will give it, not with its bare range noise.
-        weight = known - known @ np.linalg.solve(known + graph.weight(edge), known)
-        chi_square = float(error @ weight @ error)
+        chi_square = mahalanobis(error, covariance, graph.weight(edge))
         travelled = keyframes[-1].travelled_m
         gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + covariance @ graph.weight(edge))[1])
         candidate = LoopCandidate(edge, closure, stamp_ns, travelled, chi_square, gain)
