@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
+from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.faults import FaultKind, OdometryFault
 from slam.drivers.simulators.worlds import scenario
-from slam.logs.trajectory import compose
 
 from benchmarks.kept_runs import KeptRuns
 from slam.evaluation.metrics import align

@@ -15,11 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
+from slam.backend.se2 import placed
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import PreparedScan
 from slam.logs.messages import LoopResult
-from slam.mapping.keyframe import Keyframe, placed, view_centres
+from slam.mapping.keyframe import Keyframe, view_centres
 from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
 from slam.mapping.records import pairs_left
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slam.backend.batch import OUTLIER
 from slam.backend.edges import Edge
+from slam.backend.se2 import compose
 from slam.frontend.deskew import deskew
 from slam.frontend.scan import PreparedScan, prepare
 from slam.logs.messages import (
@@ -23,7 +24,7 @@ from slam.logs.messages import (
     TruePose,
     WheelOdometry,
 )
-from slam.logs.trajectory import Trajectory, compose
+from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
 from slam.mapping.message_checks import validate_message
 from slam.mapping.relocalise import PriorMap

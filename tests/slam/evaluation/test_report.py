@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slam.backend.se2 import compose
 from slam.logs.mcap_log import LogWriter
 from slam.logs.messages import (
     FactorRecord,
@@ -18,7 +19,7 @@ from slam.logs.messages import (
     PoseEstimate,
     TruePose,
 )
-from slam.logs.trajectory import NS, Trajectory, compose, path_length, write_tum
+from slam.logs.trajectory import NS, Trajectory, path_length, write_tum
 
 import slam.evaluation.report
 from slam.evaluation.report.evaluate import evaluate
