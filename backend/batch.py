@@ -11,9 +11,9 @@ from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+from slam.backend.chi_square import SUSPICIOUS
 from slam.backend.edges import Edge, GraphError, Matrix, residuals
 
-SUSPICIOUS = 16.27  # chi-square of 3 degrees of freedom that one true loop in 1000 exceeds
 ANCHOR_SIGMA = 1e-3  # m and rad: the first pose defines the map frame, so it is held
 OUTLIER = 0.5  # a loop of less weight is left out
 COARSE, FINE = 1e-4, 1e-6  # relative change of the error that ends an alternative, and the last run

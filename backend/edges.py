@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
+from slam.backend.se2 import logmap, unwrapped_between
 
 Matrix = NDArray[np.float64]
 Kind = Literal["odometry", "icp", "loop"]
@@ -78,24 +79,8 @@ def residuals(poses: Matrix, edges: Sequence[Edge]) -> Matrix:
     i, j = (np.array([getattr(edge, end) for edge in edges], dtype=np.int64) for end in "ij")
     measured = np.array([(e.i_T_j.x(), e.i_T_j.y(), e.i_T_j.theta()) for e in edges])
     measured = measured.reshape(-1, 3)
-    return _logmap(_between(measured, _between(poses[i], poses[j])))
-
-
-def _between(a: Matrix, b: Matrix) -> Matrix:
-    """(n, 3) a^-1 b of poses [x, y, theta]."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    return np.column_stack([c * dx + s * dy, c * dy - s * dx, b[:, 2] - a[:, 2]])
-
-
-def _logmap(poses: Matrix) -> Matrix:
-    """(n, 3) tangent vectors of SE(2), headings taken within half a turn."""
-    turn = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
-    half = 0.5 * turn
-    # x of half / tan(half) towards 1 where there is no turn.
-    along = np.where(np.abs(turn) < 1e-6, 1.0, half / np.tan(np.where(turn == 0.0, 1.0, half)))
-    x, y = poses[:, 0], poses[:, 1]
-    return np.column_stack([along * x + half * y, along * y - half * x, turn])
+    # Headings are wrapped once, by the logarithm.
+    return logmap(unwrapped_between(measured, unwrapped_between(poses[i], poses[j])))
 
 
 def relative_covariance(joint: Matrix, i_T_j: Pose2) -> Matrix:

@@ -9,12 +9,12 @@ import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
 from slam.backend.batch import (
-    SUSPICIOUS,
     FactorMaker,
     GraphConfig,
     chi_squares,
     values_of,
 )
+from slam.backend.chi_square import SUSPICIOUS
 from slam.backend.edges import Edge, GraphError, Matrix, relative_covariance
 from slam.backend.final import FinalGraph, finalise
 from slam.backend.pruning import Pruned, prune

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
-from slam.backend.batch import SUSPICIOUS
+from slam.backend.chi_square import SUSPICIOUS
 from slam.backend.edges import Edge, Kind, Matrix
 
 Weight = Callable[[Edge], Matrix]  # (3, 3) information with which an edge is optimised

@@ -1,4 +1,4 @@
-"""`slam bench buildings`: simulated buildings with loops, with and without lying odometry."""
+"""`slam bench buildings`: simulated buildings with loops, with and without odometry faults."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
+from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.faults import FaultKind, OdometryFault
 from slam.drivers.simulators.worlds import scenario
-from slam.logs.trajectory import compose
 
-from benchmarks.drive_book import Case, DriveBook, program_sha256
+from benchmarks.kept_runs import KeptRuns
 from slam.evaluation.metrics import align
 from slam.mapping.config import SlamConfig
 from slam.runs.offline import Result, run_offline
@@ -31,6 +31,7 @@ FALSE_M, FALSE_RAD = 0.3, 0.15  # a closure that errs by more joins what does no
 AGO_M, NEAR_M, ALIKE_RAD = 8.0, 1.0, np.radians(45.0)
 CLOSED_M = 2.0  # m of path from a revisit to the closure that uses it
 
+Case = tuple[str, int, FaultKind | None]  # building, seed, fault
 Matrix = NDArray[np.float64]
 
 
@@ -46,22 +47,26 @@ def bench_buildings(out: Path, quick: bool, say: Callable[[str], None]) -> dict[
         (building, seed, fault)
         for seed in seeds for building in BUILDINGS for fault in FAULTS
     ]  # fmt: skip
-    what = {"config_sha256": SlamConfig().sha256(), "program_sha256": program_sha256()}
-    book = DriveBook(out / "buildings.jsonl", what)
-    rest = [case for case in cases if case not in book.runs]
+    kept = KeptRuns(out / "buildings.jsonl")
+    rest = [case for case in cases if _name(case) not in kept]
     workers = min(len(os.sched_getaffinity(0)), len(rest))
     if rest:
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
             for case, run in zip(rest, pool.imap(drive, rest), strict=True):
                 say(" ".join(f"{key}={_short(value)}" for key, value in run.items()))
-                book.add(case, run)
-    runs = [book.runs[case] for case in cases]
+                kept.add(_name(case), run)
+    runs = [kept[_name(case)] for case in cases]
     meta = {
         "closure_false_beyond": [FALSE_M, FALSE_RAD],
         "revisit_within": [NEAR_M, float(ALIKE_RAD)],
         "runs": runs,
     }
     return {"meta": meta, "rows": summary_rows(runs)}
+
+
+def _name(case: Case) -> str:
+    building, seed, fault = case
+    return f"{building}, seed {seed}, {fault or 'no fault'}"
 
 
 def drive(case: Case) -> dict[str, Any]:
@@ -91,7 +96,7 @@ def drive(case: Case) -> dict[str, Any]:
 
 
 def judged_closures(result: Result, true: Matrix) -> dict[str, int]:
-    """Closures of the final graph and those withdrawn, judged; revisits and those closed.
+    """Closures of the final graph and those removed, judged; revisits and those closed.
 
     `true` (n, 3) are the keyframes' true poses.
     """
@@ -169,7 +174,7 @@ def _row(
         "precision": 1.0 - wrong / closures if closures else 1.0,
         "recall": closed / seen if seen else 1.0,
         "runs_named": "" if fault == "none" else f"{sum(named)}/{len(named)}",
-        "other_named": other,  # lies that nobody told
+        "other_named": other,  # faults that were not there
         "keyframes": sum(r["keyframes"] for r in group),
     }
 

@@ -51,8 +51,8 @@ def bench_memory(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
 
 def _row(name: str, samples: list[dict[str, float]]) -> dict[str, Any]:
     """Growth by least squares over all but the first tenth, when things are still being set up."""
-    settled = samples[len(samples) // 10 :]
-    t, rss = (np.array([s[k] for s in settled]) for k in ("s", "rss_mb"))
+    steady = samples[len(samples) // 10 :]
+    t, rss = (np.array([s[k] for s in steady]) for k in ("s", "rss_mb"))
     growth = float(np.polyfit(t, rss, 1)[0]) * 3600.0
     return {
         "run": name, "minutes": round(samples[-1]["s"] / 60.0, 1),
@@ -65,7 +65,7 @@ def _row(name: str, samples: list[dict[str, float]]) -> dict[str, Any]:
 def _run(
     seconds: float, drives: bool, say: Callable[[str], None]
 ) -> Iterator[tuple[float, float, int, int]]:
-    """Yield seconds, memory in MB, keyframes and those thinned out, once in a simulated minute."""
+    """Yield seconds, memory in MB, keyframes and those pruned, once in a simulated minute."""
     with tempfile.TemporaryDirectory(prefix="slam-memory-") as folder:
         plan = replace(OFFICE, passes=int(np.ceil(seconds / _PASS_S)))
         robot = SimulatedRobot(Path(folder), plan)

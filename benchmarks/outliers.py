@@ -12,7 +12,7 @@ from gtsam import Pose2
 from slam.backend.batch import OUTLIER, FactorMaker, GraphConfig, optimise
 from slam.backend.edges import Edge
 from slam.backend.g2o import G2oGraph, read_g2o
-from slam.logs.trajectory import compose
+from slam.backend.se2 import compose
 
 from slam.evaluation.metrics import align
 from slam.runs.errors import RunError

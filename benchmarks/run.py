@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import platform
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from slam.logs.atomic_write import atomic_write
 
 from slam.mapping.config import SlamConfig
 from slam.runs.config_file import nearest
@@ -18,74 +21,150 @@ from slam.runs.run_directory import version
 
 Say = Callable[[str], None]
 
-IN_A_FILE = 160  # columns of a table that no terminal shows
+IN_A_FILE = 160  # characters in a line of a table that no terminal shows
 
-SPREAD = ("benchmark", "pareto")
-"""Benchmarks that can use worker processes."""
 
-# What the table shows of each row; the file holds all.
-COLUMNS: Mapping[str, Mapping[str, str]] = {
-    "benchmark": {
-        "log": "log", "trans_mean_m": "mean m", "trans_std_m": "+- m", "trans_max_m": "worst m",
-        "rot_mean_deg": "deg",
-        "published_trans_mean_m": "published m", "keyframes": "keyframes", "matches": "matches",
-        "closures": "closures", "wall_s": "s", "cpu_s": "CPU s", "realtime_factor": "x real",
-        "peak_rss_mb": "MB",
-    },
-    "buildings": {
-        "building": "building", "fault": "fault", "seeds": "seeds", "ate_m_median": "ATE m",
-        "ate_m_max": "worst m", "ate_ratio_median": "x without", "closures": "closures",
-        "precision": "precision", "recall": "recall", "runs_named": "named",
-        "other_named": "other named",
-    },
-    "batch": {
-        "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
-        "busy_share": "replaying", "overhead_s_per_task": "s a task beyond its replay",
-        "identical": "identical",
-    },
-    "log": {
-        "case": "laser", "write_per_s": "put/s", "write_x_realtime": "x real",
-        "read_per_s": "read/s", "mb_per_hour": "MB/h", "mb_per_hour_closed": "closed",
-        "read_rss_mb": "RSS MB", "sync_ms_median": "sync ms", "sync_ms_p99": "p99",
-    },
-    "growth": {
-        "keyframes": "keyframes", "closures": "closures", "way_m": "way m",
-        "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "most",
-        "optimising_ms_p99": "ISAM2 p99", "closing_ms_p99": "loops p99",
-        "matching_ms_p99": "match p99", "rss_mb": "peak MB",
-    },
-    "pareto": {
-        "world": "world", "method": "method", "setting": "setting",
-        "matches_median": "matches", "ate_m_median": "ATE m",
-        "cpu_ms_median": "cpu ms",
-    },
-    "outliers": {
-        "graph": "graph", "share": "false per true loop", "false_loops": "false",
-        "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
-        "recall": "recall", "wall_s": "s",
-    },
-    "online": {
-        "duration_s": "s", "scans": "scans", "latency_ms_p50": "latency ms p50",
-        "latency_ms_p99": "p99", "latency_ms_max": "max", "searching_scans": "while searching",
-        "searching_ms_p99": "p99", "cpu_share": "of a core", "peak_rss_mb": "MB", "lost": "lost",
-    },
-    "memory": {
-        "run": "run", "minutes": "minutes", "keyframes": "keyframes",
-        "rss_mb_first": "MB first", "rss_mb_last": "MB last",
-        "growth_mb_per_hour": "MB an hour", "pruned": "pruned",
-    },
-    "view": {
-        "log": "log", "watched_by": "watched by", "cpu_s": "pipeline's CPU s", "wall_s": "s",
-        "look_us": "us a step for it", "frames": "frames", "identical": "same run",
-    },
-    "online-faults": {
-        "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
-        "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms", "wrong": "wrong",
-    },
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """What one benchmark is, and what it can be told."""
+
+    about: str
+    function: str  # `module:name`; imported only when asked for: some need optional packages
+    takes: str  # names of the arguments of the function, of: out, data, quick, say, workers
+    columns: Mapping[str, str] = field(default_factory=dict)  # of the table: row key -> heading
+    data: str = ""  # what the folder of `--data` must hold; empty where it can do without
+
+    @property
+    def spreads(self) -> bool:
+        """Whether it can use worker processes."""
+        return "workers" in self.takes.split()
+
+
+BENCHMARKS: Mapping[str, Benchmark] = {
+    "batch": Benchmark(
+        "how batches scale with workers",
+        "benchmarks.batch:bench_batch", "quick say",
+        {
+            "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
+            "busy_share": "replaying", "overhead_s_per_task": "s per task beyond replay",
+            "identical": "identical",
+        },
+    ),
+    "benchmark": Benchmark(
+        "public logs against published errors",
+        "benchmarks.benchmark:bench_benchmark", "data quick say workers",
+        {
+            "log": "log", "trans_mean_m": "mean m", "trans_std_m": "+- m",
+            "trans_max_m": "worst m", "rot_mean_deg": "deg",
+            "published_trans_mean_m": "published m", "keyframes": "keyframes",
+            "matches": "matches", "closures": "closures", "wall_s": "s", "cpu_s": "CPU s",
+            "realtime_factor": "x real", "peak_rss_mb": "MB",
+        },
+        data="`benchmark/` with NAME.clf.gz and NAME.relations of each log",
+    ),
+    "buildings": Benchmark(
+        "simulated buildings with loops and odometry faults",
+        "benchmarks.buildings:bench_buildings", "out quick say",
+        {
+            "building": "building", "fault": "fault", "seeds": "seeds", "ate_m_median": "ATE m",
+            "ate_m_max": "worst m", "ate_ratio_median": "x without", "closures": "closures",
+            "precision": "precision", "recall": "recall", "runs_named": "named",
+            "other_named": "other named",
+        },
+    ),
+    "growth": Benchmark(
+        "time and memory as the graph grows",
+        "benchmarks.growth:bench_growth", "quick say",
+        {
+            "keyframes": "keyframes", "closures": "closures", "way_m": "path m",
+            "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "max",
+            "optimising_ms_p99": "ISAM2 p99", "closing_ms_p99": "loops p99",
+            "matching_ms_p99": "match p99", "rss_mb": "peak MB",
+        },
+    ),
+    "log": Benchmark(
+        "writing and reading logs",
+        "benchmarks.log:bench_log", "quick out",
+        {
+            "case": "laser", "write_per_s": "put/s", "write_x_realtime": "x real",
+            "read_per_s": "read/s", "mb_per_hour": "MB/h", "mb_per_hour_closed": "closed",
+            "read_rss_mb": "RSS MB", "sync_ms_median": "sync ms", "sync_ms_p99": "p99",
+        },
+    ),
+    "matcher": Benchmark(
+        "time, accuracy, basin and consistency of single matches",
+        "benchmarks.matcher.matcher:bench_matcher", "data quick say",
+        data="`benchmark/` with NAME.clf.gz and NAME.relations of intel, mit-csail, mit-killian",
+    ),
+    "memory": Benchmark(
+        "memory over an hour, standing and driving",
+        "benchmarks.memory:bench_memory", "quick say",
+        {
+            "run": "run", "minutes": "minutes", "keyframes": "keyframes",
+            "rss_mb_first": "MB first", "rss_mb_last": "MB last",
+            "growth_mb_per_hour": "MB/h", "pruned": "pruned",
+        },
+    ),
+    "online": Benchmark(
+        "latency and losses in real time",
+        "benchmarks.online:bench_online", "quick say",
+        {
+            "duration_s": "s", "scans": "scans", "latency_ms_p50": "latency ms p50",
+            "latency_ms_p99": "p99", "latency_ms_max": "max",
+            "searching_scans": "while searching", "searching_ms_p99": "p99",
+            "cpu_share": "of one core", "peak_rss_mb": "MB", "lost": "lost",
+        },
+    ),
+    "online-faults": Benchmark(
+        "faults of wires, devices and wheels",
+        "benchmarks.faults.online_faults:bench_online_faults", "out quick say",
+        {
+            "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
+            "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms",
+            "wrong": "wrong",
+        },
+    ),
+    "outliers": Benchmark(
+        "public graphs with false loops mixed in",
+        "benchmarks.outliers:bench_outliers", "data quick say",
+        {
+            "graph": "graph", "share": "false per true loop", "false_loops": "false",
+            "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
+            "recall": "recall", "wall_s": "s",
+        },
+        data="`graphs/` with NAME.g2o.gz of M3500, intel and ring",
+    ),
+    "paper": Benchmark(
+        "the seed paper's experiment",
+        "benchmarks.paper.paper:bench_paper", "out quick say",
+    ),
+    "pareto": Benchmark(
+        "error against matches for every way to choose keyframes",
+        "benchmarks.keyframe_interval.pareto:bench_pareto", "out data quick say workers",
+        {
+            "world": "world", "method": "method", "setting": "setting",
+            "matches_median": "matches", "ate_m_median": "ATE m", "cpu_ms_median": "cpu ms",
+        },
+    ),
+    "view": Benchmark(
+        "what watching a run costs",
+        "benchmarks.view:bench_view", "data quick say",
+        {
+            "log": "log", "watched_by": "watched by", "cpu_s": "pipeline's CPU s", "wall_s": "s",
+            "look_us": "us per step", "frames": "frames", "identical": "same run",
+        },
+    ),
+    "weights": Benchmark(
+        "the weights of SDP-PE, fitted",
+        "benchmarks.paper.weights:bench_weights", "quick say",
+    ),
 }  # fmt: skip
+"""Every benchmark by its name on the command line."""
 
 
-def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: int = 0) -> None:
+def run_bench(
+    name: str, out: Path, data: Path | None, quick: bool, say: Say, workers: int = 0
+) -> None:
     """Run one benchmark by name, print it and write `out`/NAME.json.
 
     With workers, benchmarks that can are spread over so many processes.
@@ -93,9 +172,11 @@ def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: 
     Raises:
         RunError: no such benchmark, its data is missing, or the output cannot be written.
     """
-    if workers and name not in SPREAD:
-        raise RunError(f"{name} is not spread over workers: leave --workers out")
-    result = _measure(name, out, data, quick, say, workers)
+    benchmark = _chosen(name, data, workers)
+    given = {"out": out, "data": data, "quick": quick, "say": say, "workers": workers}
+    module, _, function = benchmark.function.partition(":")
+    measure = getattr(importlib.import_module(module), function)
+    result = measure(**{argument: given[argument] for argument in benchmark.takes.split()})
     result["meta"] = {
         "version": version(),
         "config_sha256": SlamConfig().sha256(),
@@ -103,7 +184,7 @@ def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: 
         "quick": quick,
         **result["meta"],
     }
-    if name in COLUMNS:
+    if benchmark.columns:
         console = Console()
         if not console.is_terminal:  # nothing to fit into: a file holds whole rows
             console.width = IN_A_FILE
@@ -111,86 +192,42 @@ def run_bench(name: str, out: Path, data: Path, quick: bool, say: Say, workers: 
     target = out / f"{name}.json"
     try:
         out.mkdir(parents=True, exist_ok=True)
-        target.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+        atomic_write(target, json.dumps(result, indent=2) + "\n")
     except OSError as error:
         raise RunError(f"{target}: cannot be written: {error.strerror}") from error
     say(f"figures: {target}")
 
 
-def _measure(
-    name: str, out: Path, data: Path, quick: bool, say: Say, workers: int
-) -> dict[str, Any]:
-    """Each benchmark is imported only when asked for: some need optional packages."""
-    if name == "benchmark":
-        from benchmarks.benchmark import bench_benchmark
+def _chosen(name: str, data: Path | None, workers: int) -> Benchmark:
+    """Return the benchmark of this name if it can be run with these options."""
+    if name not in BENCHMARKS:
+        known = ", ".join(BENCHMARKS)
+        raise RunError(f"no benchmark is named {name!r}{nearest(name, list(BENCHMARKS))}: {known}")
+    benchmark = BENCHMARKS[name]
+    if workers and not benchmark.spreads:
+        able = ", ".join(key for key, one in BENCHMARKS.items() if one.spreads)
+        raise RunError(f"{name} cannot use workers, only {able}: leave --workers out")
+    if benchmark.data and data is None:
+        raise RunError(f"{name} needs recorded data: --data DIR, where DIR holds {benchmark.data}")
+    if data is not None and not data.is_dir():
+        raise RunError(f"{data}: no such folder: --data must name one")
+    return benchmark
 
-        return bench_benchmark(data, quick, say, workers)
-    if name == "buildings":
-        from benchmarks.buildings import bench_buildings
 
-        return bench_buildings(out, quick, say)
-    if name == "growth":
-        from benchmarks.growth import bench_growth
-
-        return bench_growth(quick, say)
-    if name == "matcher":
-        from benchmarks.matcher.matcher import bench_matcher
-
-        return bench_matcher(data, quick, say)
-    if name == "outliers":
-        from benchmarks.outliers import bench_outliers
-
-        return bench_outliers(data, quick, say)
-    if name == "online":
-        from benchmarks.online import bench_online
-
-        return bench_online(quick, say)
-    if name == "memory":
-        from benchmarks.memory import bench_memory
-
-        return bench_memory(quick, say)
-    if name == "view":
-        from benchmarks.view import bench_view
-
-        return bench_view(data, quick, say)
-    if name == "online-faults":
-        from benchmarks.faults.online_faults import bench_online_faults
-
-        return bench_online_faults(out, quick, say)
-    if name == "batch":
-        from benchmarks.batch import bench_batch
-
-        return bench_batch(quick, say)
-    if name == "log":
-        from benchmarks.log import bench_log
-
-        return bench_log(quick, out)
-    if name == "paper":
-        from benchmarks.paper.paper import bench_paper
-
-        return bench_paper(out, quick, say)
-    if name == "weights":
-        from benchmarks.paper.weights import bench_weights
-
-        return bench_weights(quick, say)
-    if name == "pareto":
-        from benchmarks.keyframe_interval.pareto import bench_pareto
-
-        return bench_pareto(out, data, quick, say, workers)
-    known = (
-        "benchmark", "batch", "buildings", "growth", "matcher", "memory", "outliers",
-        "online", "online-faults", "log", "paper", "pareto", "view", "weights",
-    )  # fmt: skip
-    raise RunError(f"no benchmark is named {name!r}{nearest(name, known)}: {', '.join(known)}")
+def described() -> list[str]:
+    """A line for each benchmark."""
+    width = max(map(len, BENCHMARKS))
+    return [f"{name:{width}}  {benchmark.about}" for name, benchmark in BENCHMARKS.items()]
 
 
 def table(name: str, rows: list[dict[str, Any]]) -> Table:
     """The chosen columns of a benchmark's rows."""
     shown = Table(title=name)
-    for k, heading in enumerate(COLUMNS[name].values()):
+    columns = BENCHMARKS[name].columns
+    for k, heading in enumerate(columns.values()):
         shown.add_column(heading, justify="right" if k else "left", overflow="fold")
     for row in rows:
-        shown.add_row(*(_cell(row[column]) for column in COLUMNS[name]))
+        shown.add_row(*(_cell(row[column]) for column in columns))
     return shown
 
 

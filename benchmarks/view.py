@@ -52,15 +52,16 @@ _CASES = (
 )
 
 
-def bench_view(data: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_view(data: Path | None, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """Replay a log with each kind of watcher, as fast as it goes; the result must not change.
 
     `cpu_s` is that of the pipeline's thread alone, `look_us` what a step spends on the watcher in
-    that thread.  The log is intel where it is at hand, else (and with `quick`) a simulated office.
+    that thread.  The log is intel where `data` has it, else (and with `quick`) a simulated office.
     """
     with tempfile.TemporaryDirectory(prefix="slam-bench-") as scratch:
-        log, intel = Path(scratch) / "log.mcap", data / "benchmark" / "intel.clf.gz"
-        if quick or not intel.is_file():
+        log = Path(scratch) / "log.mcap"
+        intel = None if data is None else data / "benchmark" / "intel.clf.gz"
+        if quick or intel is None or not intel.is_file():
             name = "office"
             simulate_log(name, log, 0, "hokuyo-181", "typical")
         else:

@@ -1,4 +1,11 @@
-"""Reading our MCAP logs: messages in file order, streamed chunk by chunk."""
+"""Reading our MCAP logs: messages in file order, streamed chunk by chunk.
+
+Not by the readers of the `mcap` package, for two reasons.  They stop at the first damage, where
+this one counts what is lost and goes on.  And they make an object of every record: of closed logs
+they give 83 000 (SeekingReader) and 88 000 (StreamReader) undecoded messages a second of CPU with
+181 beams, this one 194 000; with 1081 beams 42 000 and 37 000 against 63 000.  With decoding it is
+47 000 and 56 000 against 90 000, and 25 000 and 22 000 against 30 000.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stamped planar poses, their algebra on whole arrays, and the TUM text format.
+"""Stamped planar poses, and the TUM text format.
 
 TUM lines are `t x y z qx qy qz qw` (Sturm et al. 2012, "A Benchmark for the Evaluation of
 RGB-D SLAM Systems"): seconds, metres, a unit quaternion.  Stamps stay integer nanoseconds
@@ -57,28 +57,6 @@ class Trajectory:
     def seconds(self) -> NDArray[np.float64]:
         """Return seconds since the first pose, (n,)."""
         return (self.stamps_ns - self.stamps_ns[:1]) / NS
-
-
-def wrap(theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the angles in [-pi, pi]; those already there come back unchanged."""
-    turns = np.round(theta / (2.0 * math.pi))
-    return np.where(np.abs(theta) <= math.pi, theta, theta - 2.0 * math.pi * turns)
-
-
-def compose(a_T_b: Poses, b_T_c: Poses) -> Poses:
-    """Return `a_T_c` row by row; either argument may be a single pose of shape (3,)."""
-    cosine, sine = np.cos(a_T_b[..., 2]), np.sin(a_T_b[..., 2])
-    x = a_T_b[..., 0] + cosine * b_T_c[..., 0] - sine * b_T_c[..., 1]
-    y = a_T_b[..., 1] + sine * b_T_c[..., 0] + cosine * b_T_c[..., 1]
-    return np.stack([x, y, wrap(a_T_b[..., 2] + b_T_c[..., 2])], axis=-1)
-
-
-def between(a_T_b: Poses, a_T_c: Poses) -> Poses:
-    """Return `b_T_c` = inverse(`a_T_b`) `a_T_c` row by row; either may be a single (3,) pose."""
-    cosine, sine = np.cos(a_T_b[..., 2]), np.sin(a_T_b[..., 2])
-    dx, dy = a_T_c[..., 0] - a_T_b[..., 0], a_T_c[..., 1] - a_T_b[..., 1]
-    theta = wrap(a_T_c[..., 2] - a_T_b[..., 2])
-    return np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx, theta], axis=-1)
 
 
 def path_length(poses: Poses) -> NDArray[np.float64]:

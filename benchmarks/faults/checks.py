@@ -29,7 +29,7 @@ def differences(live: Slam, again: Slam) -> list[str]:
         "odometry": (live.scans.odom_poses.tobytes(), again.scans.odom_poses.tobytes()),
         "decisions": (repr(live.records.decisions), repr(again.records.decisions)),
         "factors": (repr(live.records.factors), repr(again.records.factors)),
-        "verdicts": (repr(live.loops.closure_results), repr(again.loops.closure_results)),
+        "closure results": (repr(live.loops.closure_results), repr(again.loops.closure_results)),
         "live poses": (repr(live.records.estimates), repr(again.records.estimates)),
         "graph": (_graph_bytes(live), _graph_bytes(again)),
         "losses": (live.lost, again.lost),
@@ -67,14 +67,14 @@ def wrong_odometry(drive: FaultyDrive) -> list[str]:
         begin, end = ((m.stamp_ns - EPOCH_NS) * 1e-9 for m in (a, b))
         x0, y0, _ = drive.motion.odometry(begin)
         x1, y1, _ = drive.motion.odometry(end)
-        told, true = np.hypot(b.x - a.x, b.y - a.y), np.hypot(x1 - x0, y1 - y0)
-        restarted = told == 0.0 and drive.robot.counters["odometry_restarts"]
-        bad += bool(abs(told - true) > SPEED * LATE_S and not restarted)
+        reported, true = np.hypot(b.x - a.x, b.y - a.y), np.hypot(x1 - x0, y1 - y0)
+        restarted = reported == 0.0 and drive.robot.counters["odometry_restarts"]
+        bad += bool(abs(reported - true) > SPEED * LATE_S and not restarted)
     return [f"{bad} steps of odometry that the wheels did not make"] if bad else []
 
 
 def scans_lost(counters: Mapping[str, int]) -> int:
-    """All scans that a laser's counters say were lost."""
+    """All scans that a laser's counters count as lost."""
     return sum(
         n for cause, n in counters.items()
         if cause.startswith("lost_") or cause in ("missing_scans", "outage_scans")
@@ -82,7 +82,7 @@ def scans_lost(counters: Mapping[str, int]) -> int:
 
 
 def wrong_counts(drive: FaultyDrive, intake: Intake, log: Path) -> list[str]:
-    """Counters that do not tell what has happened on the wires."""
+    """Counters that differ from what has happened on the wires."""
     laser, robot = drive.laser, drive.robot
     scans = laser.messages(LaserScan)
     found = []

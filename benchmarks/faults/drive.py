@@ -1,7 +1,7 @@
 """A drive of simulated devices with faults, in simulated time: the online path but threads.
 
 Each device is read by its own `DeviceReader`, as its thread would; their messages meet in the
-intake, in the order of receipt.
+message sequencer, in the order of receipt.
 """
 
 from __future__ import annotations

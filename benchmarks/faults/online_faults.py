@@ -3,7 +3,7 @@
 Each kind of fault ten times and mixtures of up to four; every run is checked (no wrong scan,
 no wrong odometry, all counters, replay bit-identical), and its error is compared with that of
 the same drive, with the same noise, without faults.  Errors are a few millimetres, so the
-spread of fault-free drives that differ in the laser's noise alone is told beside it.
+spread of fault-free drives that differ in the laser's noise alone stands beside it.
 
 Runs are kept in a file of their own as they are made: stopped and begun again, it goes on there.
 """
@@ -212,8 +212,8 @@ def bench_online_faults(out: Path, quick: bool, say: Callable[[str], None]) -> d
     for seed in seeds:
         row = kept.made(f"run {seed}", partial(run_one, seed))
         runs.append(row)
-        told = ", ".join(row["wrong"]) or "sound"
-        say(f"run {seed}, {row['faults']}: {row['ratio']:.2f} times the error, {told}")
+        found = ", ".join(row["wrong"]) or "sound"
+        say(f"run {seed}, {row['faults']}: {row['ratio']:.2f} times the error, {found}")
     kinds = sorted({row["kind"] for row in runs})
     meta = {
         "drives": DRIVES, "long_outage_s": LONG_S, "worse": WORSE,

@@ -46,7 +46,7 @@ class Setting:
     method: str
     label: str
     keyframes: KeyframeConfig
-    misled: bool = False  # foresees with the normals of other beams
+    misled: bool = False  # predicts with the normals of other beams
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +78,10 @@ def settings() -> list[Setting]:
         Setting("overlap", f"{share:g}", _with(shipped, method="overlap", least_overlap=share))
         for share in OVERLAPS
     ]
-    foreseeing = _with(shipped, method="information")
+    predicting = _with(shipped, method="information")
     found.append(Setting("sdp-pe", "shipped", _with(shipped, method="sdp-pe")))
-    found.append(Setting("information", "shipped", foreseeing))
-    found.append(Setting("information-permuted", "shipped", foreseeing, misled=True))
+    found.append(Setting("information", "shipped", predicting))
+    found.append(Setting("information-permuted", "shipped", predicting, misled=True))
     return found
 
 

@@ -90,7 +90,7 @@ def surveyed(choice: dict[str, Any], path: Path) -> dict[str, Any]:
     return {
         "keyframes": len(result.slam.keyframes),
         "matches": result.slam.matches,
-        "closures": sum(verdict.accepted for verdict in result.slam.loops.closure_results),
+        "closures": sum(closure.accepted for closure in result.slam.loops.closure_results),
         "trans_mean_m": float(errors.trans_m.mean()),
         "trans_std_m": float(errors.trans_m.std()),
         "rot_mean_deg": float(errors.rot_deg.mean()),

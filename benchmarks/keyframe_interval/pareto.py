@@ -54,11 +54,16 @@ class Job:
     kept: Path
 
 
-def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0) -> dict[str, Any]:
+def bench_pareto(
+    out: Path, data: Path | None, quick: bool, say: Say, workers: int = 0
+) -> dict[str, Any]:
     """Run all settings in all worlds, and a few on the recorded logs found in `data`.
 
-    Draws `pareto.png` into `out`.  `quick` leaves the logs out.
+    Draws `pareto.png` into `out`.  `data` holds `benchmark/` and `hokuyo/` with the logs; `quick`
+    leaves them out.
     """
+    if data is None and not quick:
+        say("without --data the recorded logs are left out")
     seeds = QUICK_SEEDS if quick else SEEDS
     say(f"{len(WORLDS)} worlds, {seeds} drives of up to {LONGEST_M:g} m each")
     outcomes = _drive_all(out, seeds, say, workers)
@@ -73,7 +78,7 @@ def bench_pareto(out: Path, data: Path, quick: bool, say: Say, workers: int = 0)
     _show(closure_results)
     counter = counter_test(outcomes)
     _show_counter(counter)
-    logs = [] if quick else bench_logs(data, KeptRuns(out / KEPT_LOGS), say)
+    logs = [] if quick or data is None else bench_logs(data, KeptRuns(out / KEPT_LOGS), say)
     meta = {
         "seeds": seeds,
         "first_seed": FIRST_SEED,

@@ -1,1 +1,1 @@
-"""`slam bench matcher`: speed, accuracy, basin and honesty of single matches."""
+"""`slam bench matcher`: speed, accuracy, basin and consistency of single matches."""

@@ -1,4 +1,4 @@
-"""Whether the matcher's covariance tells the truth: simulated matches against their errors.
+"""Whether the matcher's covariance is consistent: simulated matches against their errors.
 
 The settings of the covariance were calibrated on worlds of the seeds from CALIBRATION on; what
 is reported comes from other worlds and other noise, of the seeds from EVALUATION on.
@@ -34,7 +34,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Case:
-    """A scan to match, and an odometry that errs as much as it says."""
+    """A scan to match, and odometry whose errors match its covariance."""
 
     target: PreparedScan
     source: PreparedScan

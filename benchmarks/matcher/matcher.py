@@ -1,4 +1,4 @@
-"""`slam bench matcher`: time, accuracy, basin and honesty of the scan matcher and its peers.
+"""`slam bench matcher`: time, accuracy, basin and consistency of the scan matcher and its peers.
 
 All methods see the same pairs in the same run on one thread.  The clock goes round the methods
 pair by pair, so that whatever else the machine does hits all alike.  Each match is timed twice:
@@ -68,18 +68,18 @@ def bench_matcher(data: Path, quick: bool, say: Say) -> dict[str, Any]:
             continue
         say(f"real pairs, {name}")
         rows += measure(peers, real_pairs(data / "benchmark", name, counts.real, SEED), name)
-    honest = []
+    found = []
     for world in WORLDS:
         say(f"consistency, {world}")
-        honest.append(consistency(world, counts.matches))
+        found.append(consistency(world, counts.matches))
     if not quick:
         say("start-up, with no compiled kernels and with")
     begin = {} if quick else startup()
-    _show(rows, honest, begin)
-    return {"meta": _meta(counts, honest, begin), "rows": rows}
+    _show(rows, found, begin)
+    return {"meta": _meta(counts, found, begin), "rows": rows}
 
 
-def _meta(counts: Counts, honest: list[dict[str, Any]], begin: dict[str, float]) -> dict[str, Any]:
+def _meta(counts: Counts, found: list[dict[str, Any]], begin: dict[str, float]) -> dict[str, Any]:
     versions = {name: version(name) for name in ("numpy", "scipy", "numba", "small-gicp")}
     return {
         "threads": 1,
@@ -94,7 +94,7 @@ def _meta(counts: Counts, honest: list[dict[str, Any]], begin: dict[str, float])
         "us_median": "ours: scans prepared; libraries: from points, trees and normals included",
         "us_median_built": "scans prepared or trees built; data cold",
         "us_median_warm": f"the same, repeated: median of {REPEATED}",
-        "consistency": honest,
+        "consistency": found,
         "startup": begin,
     }
 
@@ -187,7 +187,7 @@ def _row(name: str, record: _Record, pairs: list[Pair], source: str) -> dict[str
     }
 
 
-def _show(rows: list[dict[str, Any]], honest: list[dict[str, Any]], begin: dict[str, Any]) -> None:
+def _show(rows: list[dict[str, Any]], found: list[dict[str, Any]], begin: dict[str, Any]) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=150)  # a file has no edge to wrap at
@@ -204,7 +204,7 @@ def _show(rows: list[dict[str, Any]], honest: list[dict[str, Any]], begin: dict[
     table = Table(title="Consistency of the covariance (ANEES, 95 % band; should be 1)")
     for head in ("world", "matches", "x", "y", "theta", "band", "along/across", "inside 3 sigma"):
         table.add_column(head, justify="left" if head == "world" else "right")
-    for row in honest:
+    for row in found:
         low, high = row["band"]
         table.add_row(
             row["world"], str(row["matches"]), *(f"{value:.2f}" for value in row["anees"]),

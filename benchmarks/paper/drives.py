@@ -37,7 +37,7 @@ PAPER_SECONDS = (26.0, 3.7, 1.8, 1.0, 0.8, 0.7)
 PAPER_COUNTS = (462, 93, 47, 31, 24, 23)  # scans
 
 LASER = LASERS["hokuyo-181"]
-MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
+EXTRINSICS = LaserExtrinsics(0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,7 +69,7 @@ def paper_bed_drive(
     config = ScanConfig(range_noise=max(laser.sigma, 0.001))
     for message in paper_drive(reading, seed, seed, bed=bed, laser=laser):
         if isinstance(message, LaserScan):
-            scans.append(prepare(message, MOUNT, config))
+            scans.append(prepare(message, EXTRINSICS, config))
         elif isinstance(message, WheelOdometry):
             odometry.append(Pose2(message.x, message.y, message.theta))
         elif isinstance(message, TruePose):
@@ -112,7 +112,7 @@ def sdp_pe(stretch: float = 1.0) -> Length:
 
 
 def information(drive: Drive, with_odometry: bool) -> Length:
-    """The interval after which a match to this scan alone is foreseen to be worth most."""
+    """The interval after which a match to this scan alone is predicted to be worth most."""
     config, matcher, wheels = KeyframeConfig(method="information"), MatchConfig(), OdometryConfig()
     speed = drive.step_m / drive.period_s
 

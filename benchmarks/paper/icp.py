@@ -23,7 +23,7 @@ def open_icp(source, target, pose, gate, one_to_one, keep, iterations, tolerance
         iterations: at most.
         tolerance: m, a smaller step ends the iteration (radians count fivefold).
     """
-    partner = np.empty(len(source), np.int64)
+    correspondence = np.empty(len(source), np.int64)
     square = np.empty(len(source))
     moved = np.empty(source.shape)
     for _ in range(iterations):
@@ -31,12 +31,12 @@ def open_icp(source, target, pose, gate, one_to_one, keep, iterations, tolerance
         for i in range(len(source)):
             moved[i, 0] = c * source[i, 0] - s * source[i, 1] + pose[0]
             moved[i, 1] = s * source[i, 0] + c * source[i, 1] + pose[1]
-        nearest(moved, target, gate * gate, partner, square)
+        nearest(moved, target, gate * gate, correspondence, square)
         if one_to_one:
-            part_rivals(partner, square, len(target))
+            one_to_one_pairs(correspondence, square, len(target))
         if keep < 1.0:
-            drop_longest(partner, square, keep)
-        turn, x, y, pairs = rigid_motion(moved, target, partner)
+            drop_longest(correspondence, square, keep)
+        turn, x, y, pairs = rigid_motion(moved, target, correspondence)
         if pairs < 3:
             return
         c, s = np.cos(turn), np.sin(turn)
@@ -49,53 +49,53 @@ def open_icp(source, target, pose, gate, one_to_one, keep, iterations, tolerance
 
 
 @njit(cache=True, nogil=True)
-def nearest(points, target, most, partner, square):
+def nearest(points, target, most, correspondence, square):
     """Write the index of each point's nearest target within `most` (m^2), else -1, and both's."""
     for i in range(len(points)):
-        partner[i], square[i] = -1, most
+        correspondence[i], square[i] = -1, most
         for j in range(len(target)):
             dx, dy = points[i, 0] - target[j, 0], points[i, 1] - target[j, 1]
             if dx * dx + dy * dy < square[i]:
-                partner[i], square[i] = j, dx * dx + dy * dy
+                correspondence[i], square[i] = j, dx * dx + dy * dy
 
 
 @njit(cache=True, nogil=True)
-def part_rivals(partner, square, targets):
+def one_to_one_pairs(correspondence, square, targets):
     """Leave each target to the closest of those that chose it."""
     owner = np.full(targets, -1)
-    for i in range(len(partner)):
-        j = partner[i]
+    for i in range(len(correspondence)):
+        j = correspondence[i]
         if j < 0:
             continue
         if owner[j] < 0 or square[i] < square[owner[j]]:
             if owner[j] >= 0:
-                partner[owner[j]] = -1
+                correspondence[owner[j]] = -1
             owner[j] = i
         else:
-            partner[i] = -1
+            correspondence[i] = -1
 
 
 @njit(cache=True, nogil=True)
-def drop_longest(partner, square, keep):
+def drop_longest(correspondence, square, keep):
     """Keep the share `keep` of the pairs, the shortest."""
-    lengths = np.sort(square[partner >= 0])
+    lengths = np.sort(square[correspondence >= 0])
     if len(lengths) == 0:
         return
     most = lengths[min(int(keep * len(lengths)), len(lengths) - 1)]
-    for i in range(len(partner)):
+    for i in range(len(correspondence)):
         if square[i] > most:
-            partner[i] = -1
+            correspondence[i] = -1
 
 
 @njit(cache=True, nogil=True)
-def rigid_motion(points, target, partner):
-    """Turn (rad), shift x, y (m) that bring points best onto their partners, and the pairs."""
+def rigid_motion(points, target, correspondence):
+    """Turn (rad), shift x, y (m) that align points with their correspondences; pairs."""
     pairs, sx, sy, tx, ty, dot, cross = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(points)):
-        if partner[i] < 0:
+        if correspondence[i] < 0:
             continue
         px, py = points[i, 0], points[i, 1]
-        qx, qy = target[partner[i], 0], target[partner[i], 1]
+        qx, qy = target[correspondence[i], 0], target[correspondence[i], 1]
         pairs += 1
         sx, sy, tx, ty = sx + px, sy + py, tx + qx, ty + qy
         dot += px * qx + py * qy

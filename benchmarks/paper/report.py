@@ -47,7 +47,7 @@ OPEN = (
         "Without and with: then it is the guess, and for point-to-line also a prior.",
     ),
     (
-        "The wall profile: how left and right are told apart, and where depths are taken.",
+        "The wall profile: how left and right are separated, and where depths are taken.",
         "y > 0 and y < 0 about the direction of motion; mean depth a bin of a regular grid in x; "
         "empty bins are skipped, not bridged.",
     ),
@@ -85,7 +85,7 @@ def write_paper_report(rows: Rows, meta: Mapping[str, Any], path: Path) -> None:
         own = [row for row in rows if row["reading"] == reading]
         compared = [case for case in meta["compared"] if case["reading"] == reading]
         lines += ["", f"## Reading {reading}", "", f"![Figure 7](paper-fig7-{reading}.png)", ""]
-        lines += [*_errors(own), "", *_verdicts(compared)]
+        lines += [*_errors(own), "", *_comparisons(compared)]
     lines += [
         "",
         "## Maps and poses",
@@ -143,7 +143,7 @@ def _introduction(meta: Mapping[str, Any]) -> list[str]:
         "`even` and `even-shipped` are the controls: as many scans, equally spaced. Only where",
         "SDP-PE beats its control did it help to look at the walls; what it gains over the",
         "intervals 1 to 20 beyond that comes from the number of scans alone. `information` is the",
-        "method without walls and weights, foreseeing point-to-line matches. It counts on the",
+        "method without walls and weights, predicting point-to-line matches. It counts on the",
         "odometry for a place to start from: without, it goes farther than a match from no",
         "motion can reach.",
     ]
@@ -180,7 +180,7 @@ def _cell(row: Mapping[str, Any]) -> str:
     return f"{error}; {row['match_ms_median']:.1f} ms"
 
 
-def _verdicts(compared: Rows) -> list[str]:
+def _comparisons(compared: Rows) -> list[str]:
     """What holds of the paper's claims, a line a case, and counted in plain words."""
     lines = [
         "SDP-PE against the best of the five constant intervals and against its control; the",

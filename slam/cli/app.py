@@ -179,22 +179,23 @@ def demo(
 def bench(
     name: Annotated[
         str,
-        typer.Argument(
-            help="benchmark, batch, buildings, growth, matcher, memory, outliers, online, "
-            "online-faults, log, paper, pareto, view, weights"
-        ),
+        typer.Argument(help="Name of a benchmark; `list` names them all."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = Path("bench-out"),
     data: Annotated[
-        Path, typer.Option(help="Folder of the public logs (`benchmark/`, `graphs/`).")
-    ] = Path("../shared/data"),
+        Path | None,
+        typer.Option(help="Folder of recorded logs and graphs, for benchmarks that need them."),
+    ] = None,
     quick: Annotated[bool, typer.Option(help="Fewer samples, for a first look.")] = False,
     workers: Annotated[
-        int, typer.Option(min=0, help="Processes to spread `benchmark` or `pareto` over; 0: none.")
+        int, typer.Option(min=0, help="Processes to spread it over, where it can be; 0: none.")
     ] = 0,
 ) -> None:
     """Measure, print a table and write NAME.json."""
     benchmarks = load_benchmarks()
+    if name == "list":
+        typer.echo("\n".join(benchmarks.described()))
+        return
     benchmarks.run_bench(name, out, data, quick, say, workers)
 
 

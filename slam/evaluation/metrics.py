@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from slam.backend.se2 import between, compose, wrap
 from slam.evaluation.relations import nearest_rows
-from slam.logs.trajectory import Poses, Trajectory, between, compose, path_length, wrap
+from slam.logs.trajectory import Poses, Trajectory, path_length
 
 ASSOCIATION_GAP_S = 0.01
 """Farthest apart two poses may be in time and still be compared; evo's default."""

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.logs.trajectory import NS, Poses, Stamps, Trajectory, between, parse_stamp
+from slam.backend.se2 import between
+from slam.logs.trajectory import NS, Poses, Stamps, Trajectory, parse_stamp
 from slam.runs.errors import ReportError
 
 MATCH_TOLERANCE_S = 0.02

@@ -10,6 +10,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
+from slam.backend.se2 import placed
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.messages import LaserExtrinsics, LaserScan
 
@@ -53,14 +54,3 @@ def view_centres(keyframes: Sequence[Keyframe], poses: NDArray[np.float64]) -> N
     view: with 180 degrees, two robots at one spot that face apart share nothing.
     """
     return placed(np.array([k.centre for k in keyframes]), poses)
-
-
-def placed(points: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 2) points in the map frame, each given in the frame of its own pose of (n, 3)."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.column_stack(
-        [
-            poses[:, 0] + c * points[:, 0] - s * points[:, 1],
-            poses[:, 1] + s * points[:, 0] + c * points[:, 1],
-        ]
-    )

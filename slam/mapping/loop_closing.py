@@ -14,15 +14,16 @@ import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.backend.chi_square import chi_square_limit
+from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.backend.pose_graph import Edge, PoseGraph
 from slam.backend.pruning import Renumbered
+from slam.backend.se2 import placed
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.place_descriptor import PlaceConfig
 from slam.frontend.scan import PreparedScan
 from slam.logs.messages import LoopResult
-from slam.mapping.keyframe import Keyframe, placed, view_centres
+from slam.mapping.keyframe import Keyframe, view_centres
 from slam.mapping.loop_worker import LoopWorker, PlaceCandidate, Submit
 from slam.mapping.place_memory import PlaceMemory, RecognisedPlace
 from slam.mapping.records import pairs_left
@@ -247,11 +248,9 @@ class LoopCloser:
             return None
         edge = Edge("loop", place.anchor, newest.index, result.target_T_source, result.information)
         error = Pose2.Logmap(place.predicted.between(result.target_T_source))
-        known = np.linalg.inv(place.covariance)
         # The match counts with what the graph will give it, not with its bare range noise.
         information = graph.weight(edge)
-        weight = known - known @ np.linalg.solve(known + information, known)
-        chi_square = float(error @ weight @ error)
+        chi_square = mahalanobis(error, place.covariance, information)
         gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + place.covariance @ information)[1])
         return LoopCandidate(edge, closure, stamp_ns, newest.travelled_m, chi_square, gain)
 

@@ -9,7 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from slam.backend.chi_square import chi_square_limit
+from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.frontend.match_types import MatchResult
 from slam.mapping.odometry import OdometryConfig
 
@@ -102,9 +102,7 @@ class FaultDetector:
         """Squared Mahalanobis distance of both motions, chi-square of 3 if both are right."""
         error = Pose2.Logmap(step.odometry.between(step.matched))
         covariance = self._config.covariance(step.distance, step.turn, step.seconds)
-        known = np.linalg.inv(covariance)
-        weight = known - known @ np.linalg.solve(known + step.information, known)
-        return float(error @ weight @ error)
+        return mahalanobis(error, covariance, step.information)
 
 
 def kind_of(odometry: Pose2, matched: Pose2) -> OdometryFault:

@@ -26,7 +26,7 @@ import numpy as np
 from gtsam import Pose2
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.backend.chi_square import chi_square_limit
+from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.frontend.correlative import CorrelativeConfig, Window, search, thin
 from slam.frontend.loop_search import submap_points, target_field
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
@@ -115,10 +115,7 @@ def disagreement(result: MatchResult, prior: Prior) -> float:
     The match's own information is used, so a direction that it does not see cannot disagree.
     """
     error = Pose2.Logmap(prior.target_T_source.between(result.target_T_source))
-    # (C_prior + C_match)^-1 = P - P (P + I)^-1 P, which needs no inverse of a singular I.
-    known = np.linalg.inv(prior.covariance)
-    weight = known - known @ np.linalg.solve(known + result.information, known)
-    return float(error @ weight @ error)
+    return mahalanobis(error, prior.covariance, result.information)
 
 
 def register(

@@ -12,6 +12,7 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.backend.edges import Edge
+from slam.backend.se2 import compose
 from slam.frontend.deskew import deskew
 from slam.frontend.scan import PreparedScan, prepare
 from slam.logs.messages import (
@@ -22,7 +23,7 @@ from slam.logs.messages import (
     TruePose,
     WheelOdometry,
 )
-from slam.logs.trajectory import Trajectory, compose
+from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
 from slam.mapping.message_checks import validate_message
 from slam.mapping.relocalise import PriorMap
@@ -207,7 +208,7 @@ def _localise(
         for row, scan in enumerate(_scans_again(slam, _timed(source(), timer))):
             yield prepare(scan, slam.extrinsics, config.scan), Pose2(*predicted.poses[row])
 
-    matched = with_outcomes(prepared, lambda seen: localiser.match_from(*seen), processes)
+    matched = with_outcomes(prepared(), lambda seen: localiser.match_from(*seen), processes)
     for row, ((scan, guess), first) in enumerate(matched):
         faulty, reach_m = bool(predicted.odometry_faulty[row]), float(predicted.reach_m[row])
         pose = localiser.locate(scan, guess, faulty, first, reach_m)

@@ -1,6 +1,5 @@
 """Work shared out over forked copies of this process; outcomes come in the order of the items.
 
-A copy knows all that this process knows and reads the items itself, so that only outcomes travel.
 Threads would not do: half of a scan's time is spent under the interpreter's lock.
 """
 
@@ -9,18 +8,24 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from itertools import islice
-from multiprocessing.connection import Connection
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
-_STRIPE = 32  # items in a row that one process works on
-_MOST = 4  # processes: each reads all items, so that more and more of the work is done twice
+_STRIPE = 32  # items in a row that one process works on: some 10 ms of work
+_AHEAD = 2  # stripes a process that are waiting, so that none is idle
+_MOST = 4  # processes: this one prepares all items, and more could not be kept busy
 _ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+
+_work: Callable[[Any], Any]  # of a copy
 
 
 def usable_cores() -> int:
@@ -37,89 +42,87 @@ def worker_count() -> int:
 
 
 def with_outcomes(
-    items: Callable[[], Iterable[Item]], work: Callable[[Item], Outcome], processes: int = 1
+    items: Iterable[Item], work: Callable[[Item], Outcome], processes: int = 1
 ) -> Iterator[tuple[Item, Outcome]]:
     """Yield each item with what `work` makes of it; equal for any number of processes.
 
     Args:
-        items: gives them from the start, the same in each process.
-        work: must not depend on the items before.
+        items: reach the copies by pickle, and so do outcomes on their way back.
+        work: must not depend on the items before; copies know it as it is now.
         processes: this one and its copies.  A process with other threads must not be copied.
 
     Raises:
         Exception: what `work` or the items raised.
     """
-    copies: list[_Copy[Item, Outcome]] = []
-    try:
-        for turn in range(1, processes):
-            copies.append(_Copy(items, work, turn, processes, [c.receiver for c in copies]))
-        for number, item in enumerate(items()):
-            owner = number // _STRIPE % processes
-            yield item, (copies[owner - 1].outcome(item) if owner else work(item))
-    finally:
-        for copy in copies:
-            copy.end()
+    if processes == 1:
+        yield from ((item, work(item)) for item in items)
+        return
+    source = iter(items)
+    stripes = iter(lambda: list(islice(source, _STRIPE)), [])
+    waiting: deque[tuple[list[Item], Future[list[Outcome]] | None]] = deque()
+    with _copies(processes - 1, work) as submit:
+        for number, stripe in enumerate(stripes):
+            # This process prepares the items as well, so it works on fewer of them.
+            waiting.append((stripe, submit(stripe) if number % (processes + 1) else None))
+            if len(waiting) > _AHEAD * processes:
+                yield from _done(*waiting.popleft(), work)
+        while waiting:
+            yield from _done(*waiting.popleft(), work)
 
 
-class _Copy(Generic[Item, Outcome]):
-    """A copy of this process that works on every so many-th stripe of the items."""
+def _done(
+    stripe: list[Item], future: Future[list[Outcome]] | None, work: Callable[[Item], Outcome]
+) -> Iterator[tuple[Item, Outcome]]:
+    """Yield a stripe's outcomes; where a copy failed or died, the work is done here."""
+    with suppress(Exception):
+        if future is not None:
+            yield from zip(stripe, future.result(), strict=True)
+            return
+    yield from ((item, work(item)) for item in stripe)
 
-    def __init__(
-        self, items: Callable[[], Iterable[Item]], work: Callable[[Item], Outcome], turn: int,
-        processes: int, others: list[Connection],
-    ) -> None:  # fmt: skip
-        context = multiprocessing.get_context("fork")
-        self._work = work
-        self._made: deque[Outcome] = deque()
-        self.receiver, sender = context.Pipe(duplex=False)
-        share = _share(items, turn, processes)
-        receivers = [*others, self.receiver]
-        self._process = context.Process(
-            target=_work_on, args=(share, work, sender, receivers), daemon=True
-        )
-        # A signal between the fork and the note of it would leave a copy that nobody knows of.
+
+@contextmanager
+def _copies(
+    count: int, work: Callable[[Item], Outcome]
+) -> Iterator[Callable[[list[Item]], Future[list[Outcome]] | None]]:
+    """Copies of this process; gives the function that hands one of them a stripe."""
+    pool = ProcessPoolExecutor(
+        count, multiprocessing.get_context("fork"), initializer=_begin, initargs=(work,)
+    )
+
+    def submit(stripe: list[Item]) -> Future[list[Outcome]] | None:
+        # The first call forks: a signal then would run this process's handlers in the copy.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
         try:
-            self._process.start()
+            return pool.submit(_work_on, stripe)
+        except BrokenProcessPool:
+            return None  # a copy has died
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        sender.close()
 
-    def outcome(self, item: Item) -> Outcome:
-        """The next outcome; the work is done here if the copy has come to an end."""
-        if not self._made:
-            try:
-                self._made.extend(self.receiver.recv())
-            except (EOFError, OSError):
-                return self._work(item)
-        return self._made.popleft()
-
-    def end(self) -> None:
-        """Let the copy go, whether it is done or not."""
-        self.receiver.close()
-        self._process.kill()  # it owns nothing that would have to be put away
-        self._process.join()
+    try:
+        yield submit
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
-def _share(items: Callable[[], Iterable[Item]], turn: int, processes: int) -> Iterator[Item]:
-    """Yield the items of one copy."""
-    for number, item in enumerate(items()):
-        if number // _STRIPE % processes == turn:
-            yield item
-
-
-def _work_on(
-    share: Iterator[Item], work: Callable[[Item], Any], sender: Connection,
-    receivers: list[Connection],
-) -> None:  # fmt: skip
+def _begin(work: Callable[[Any], Any]) -> None:
+    """Prepare a copy: it ends with the process that was copied, and by no other signal."""
+    global _work
+    _work = work
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that was copied ends this one
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
-    for receiver in receivers:  # or this copy would wait for itself when the other end is gone
-        receiver.close()
-    try:
-        while made := [work(item) for item in islice(share, _STRIPE)]:
-            sender.send(made)
-    except Exception:
-        return  # the process that was copied does the same, and says what is wrong
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)  # nobody waits for what is under way
+
+
+def _work_on(stripe: list[Any]) -> list[Any]:
+    return [_work(item) for item in stripe]

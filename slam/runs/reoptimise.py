@@ -15,9 +15,10 @@ from slam.backend.batch import FactorMaker
 from slam.backend.edges import Edge, capped
 from slam.backend.final import FinalGraph, finalise
 from slam.backend.g2o import read_g2o, write_g2o
+from slam.backend.se2 import between, compose
 from slam.logs.mcap_log import LogWriter, open_log
 from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan, Message, TruePose
-from slam.logs.trajectory import Trajectory, between, compose, read_tum, write_tum
+from slam.logs.trajectory import Trajectory, read_tum, write_tum
 from slam.mapping.config import SlamConfig
 from slam.maps.nav2_map import write_map_png, write_nav2_map
 from slam.maps.occupancy import build_map

@@ -8,13 +8,12 @@ transform from map to odom belongs to the odometry of the same moment.
 from __future__ import annotations
 
 import heapq
-import os
 import shutil
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from slam.logs.atomic_write import atomic_path
 from slam.logs.exporters.carmen import write_carmen
 from slam.logs.exporters.csv import write_csv
 from slam.logs.exporters.ros2 import write_ros2
@@ -162,12 +161,8 @@ def _copy(source: Path, out: Path, done: Exported) -> None:
 
 def _write(out: Path, write: Callable[[Path], object]) -> None:
     """Write a file under another name first, so that it is there whole or not at all."""
-    partial = out.with_name(out.name + ".partial")
     try:
-        write(partial)
-        os.replace(partial, out)
+        with atomic_path(out) as partial:
+            write(partial)
     except OSError as error:
         raise RunError(f"{out}: cannot be written: {error.strerror}") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)

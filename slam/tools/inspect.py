@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
+from slam.logs.atomic_write import atomic_write
 from slam.logs.doctor import Diagnosis, diagnose
 from slam.logs.errors import shown
 from slam.logs.findings import Severity, seconds
@@ -109,7 +110,7 @@ def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
     if json_file is not None:
         text = json.dumps(found.as_json(), indent=2, allow_nan=False)
         try:
-            json_file.write_text(text + "\n", encoding="utf-8")
+            atomic_write(json_file, text + "\n")
         except OSError as error:
             raise RunError(f"{json_file}: cannot be written: {error.strerror}") from error
     return "\n".join(_findings(found)), DOCTOR_CODES[found.worst]

@@ -13,11 +13,11 @@ from collections import deque
 import foxglove
 import numpy as np
 
+from slam.backend.se2 import compose
 from slam.logs.foxglove import encode_transform
 from slam.logs.messages import Message, OccupancyMap, StatusMessage
 from slam.logs.protos import descriptor_set
 from slam.logs.schemas import CHANNELS, encode, topic_of
-from slam.logs.trajectory import compose
 from slam.mapping.slam import Slam
 from slam.maps.occupancy import build_map
 from slam.runs.errors import ViewError

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from slam.backend.se2 import between, compose, wrap
 from slam.logs.errors import LogError
 from slam.logs.trajectory import (
     Trajectory,
-    between,
-    compose,
     format_stamp,
     parse_stamp,
     path_length,
     read_tum,
-    wrap,
     write_tum,
 )
 

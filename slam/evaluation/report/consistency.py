@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.backend.se2 import between, compose, wrap
 from slam.evaluation.metrics import associate, pairs_by_path, relative_errors, summarise
 from slam.evaluation.report.read_run import Run
 from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan
-from slam.logs.trajectory import Poses, Trajectory, between, compose, wrap
+from slam.logs.trajectory import Poses, Trajectory
 
 CELL_M = 0.25  # of the grid in which points of many scans are put together
 LEAST_POINTS = 20  # in a cell that tells of a wall

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.backend.se2 import between, compose, wrap
 from slam.evaluation.metrics import (
     Association,
     Credibility,
@@ -28,16 +29,7 @@ from slam.evaluation.report.consistency import consistency
 from slam.evaluation.report.credibility import credibility_figures
 from slam.evaluation.report.read_run import Run, read_run
 from slam.evaluation.report.truth import Truth, find_clock_offset, read_truth, sample
-from slam.logs.trajectory import (
-    NS,
-    Poses,
-    Stamps,
-    Trajectory,
-    between,
-    compose,
-    path_length,
-    wrap,
-)
+from slam.logs.trajectory import NS, Poses, Stamps, Trajectory, path_length
 
 RPE_LENGTHS_M = (1.0, 5.0, 10.0, 50.0)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.benchmark import bench_benchmark, logs_in
-from benchmarks.run import COLUMNS, table
+from benchmarks.run import BENCHMARKS, table
 from slam.runs.errors import RunError
 
 
@@ -19,6 +19,6 @@ def test_a_folder_without_logs_is_named(tmp_path):
 
 
 def test_a_log_without_published_figures_has_a_dash():
-    row = dict.fromkeys(COLUMNS["benchmark"], 1.0) | {"published_trans_mean_m": None}
+    row = dict.fromkeys(BENCHMARKS["benchmark"].columns, 1.0) | {"published_trans_mean_m": None}
     cells = [next(iter(column.cells)) for column in table("benchmark", [row]).columns]
     assert cells.count("-") == 1

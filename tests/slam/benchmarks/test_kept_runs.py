@@ -20,7 +20,16 @@ def test_what_was_made_is_not_made_again(tmp_path):
     assert [row["name"] for row in rows] == ["a", "b", "c"]
 
 
-def test_a_cut_line_and_another_version_do_not_count(tmp_path):
+def test_rows_are_found_again_under_their_names(tmp_path):
+    path = tmp_path / "runs.jsonl"
+    KeptRuns(path).add("clutter, seed 1", {"ate_m": 0.01})
+    kept = KeptRuns(path)
+    assert "clutter, seed 1" in kept
+    assert "clutter, seed 2" not in kept
+    assert kept["clutter, seed 1"] == {"ate_m": 0.01}
+
+
+def test_a_cut_line_and_another_program_do_not_count(tmp_path):
     path = tmp_path / "runs.jsonl"
     KeptRuns(path).made("a", lambda: {"x": 1})
     line = path.read_text()

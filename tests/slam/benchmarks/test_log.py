@@ -4,7 +4,7 @@ import json
 
 from benchmarks import log as bench_log
 from benchmarks.log import bench_log as run
-from benchmarks.run import COLUMNS, table
+from benchmarks.run import BENCHMARKS, table
 
 
 def test_rows_are_alike_and_nothing_is_left_behind(tmp_path, monkeypatch):
@@ -17,6 +17,6 @@ def test_rows_are_alike_and_nothing_is_left_behind(tmp_path, monkeypatch):
     assert all(row["write_per_s"] > 0 and row["mb_per_hour"] > 0 for row in found["rows"])
     assert found["meta"]["log_s"] == 2.0
     assert first["sync_ms_median"] > 0
-    assert COLUMNS["log"].keys() <= first.keys()
+    assert BENCHMARKS["log"].columns.keys() <= first.keys()
     assert table("log", found["rows"]).row_count == 2
     json.dumps(found, allow_nan=False)

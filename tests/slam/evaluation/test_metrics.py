@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from slam.logs.trajectory import NS, Trajectory, between, compose
+from slam.backend.se2 import between, compose
+from slam.logs.trajectory import NS, Trajectory
 
 from slam.evaluation.metrics import (
     Association,

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from slam.logs.trajectory import NS, Trajectory, compose, parse_stamp, sorted_trajectory
+from slam.backend.se2 import compose
+from slam.logs.trajectory import NS, Trajectory, parse_stamp, sorted_trajectory
 
 from slam.evaluation.relations import Relations, read_relations, relation_errors
 from slam.runs.errors import ReportError

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from slam.backend.se2 import between, compose
 from slam.logs.mcap_log import LogWriter
 from slam.logs.messages import (
     FactorRecord,
@@ -20,7 +21,7 @@ from slam.logs.messages import (
     PoseEstimate,
     TruePose,
 )
-from slam.logs.trajectory import NS, Trajectory, between, compose, path_length, write_tum
+from slam.logs.trajectory import NS, Trajectory, path_length, write_tum
 
 import slam.evaluation.report
 from slam.evaluation.report.evaluate import evaluate

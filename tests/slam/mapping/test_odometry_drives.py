@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.faults import OdometryFault
 from slam.drivers.simulators.worlds import scenario
-from slam.logs.trajectory import compose
 
 from slam.evaluation.metrics import align
 from slam.mapping.config import SlamConfig

@@ -8,11 +8,11 @@ import pytest
 from gtsam import Pose2
 from slam.backend.edges import Edge
 from slam.backend.pruning import Renumbered
+from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import open_log
 from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopResult
-from slam.logs.trajectory import compose
 
 from slam.evaluation.metrics import align
 from slam.mapping.loop_worker import run_inline

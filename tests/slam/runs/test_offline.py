@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.backend.se2 import between
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
-from slam.logs.trajectory import between
 
 from slam.mapping.scan_priors import drift_corrected
 from slam.runs.config_file import load_config

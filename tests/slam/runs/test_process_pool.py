@@ -21,14 +21,18 @@ def with_pid(n):
 @pytest.mark.parametrize("processes", [1, 2, 3])
 @pytest.mark.parametrize("count", [0, 1, 31, 32, 33, 200])
 def test_outcomes_come_in_order(processes, count):
-    found = list(with_outcomes(lambda: range(count), squared, processes))
+    found = list(with_outcomes(range(count), squared, processes))
     assert found == [(n, n * n) for n in range(count)]
 
 
 def test_copies_do_their_share():
-    pids = [pid for _, (_, pid) in with_outcomes(lambda: range(96), with_pid, 3)]
+    def work(n):
+        time.sleep(0.001)  # long enough for both copies to begin
+        return os.getpid()
+
+    pids = [pid for _, pid in with_outcomes(range(32 * 8), work, 3)]
     assert len(set(pids)) == 3
-    assert pids.count(os.getpid()) == 32
+    assert pids.count(os.getpid()) == 64
 
 
 def test_a_copy_that_dies_costs_nothing():
@@ -38,7 +42,7 @@ def test_a_copy_that_dies_costs_nothing():
         return n * n
 
     this = os.getpid()
-    found = list(with_outcomes(lambda: range(300), work, 2))
+    found = list(with_outcomes(range(300), work, 2))
     assert found == [(n, n * n) for n in range(300)]
 
 
@@ -48,14 +52,14 @@ def test_what_the_work_raises_is_raised_at_its_item():
             raise ValueError("number 40")
         return n
 
-    outcomes = with_outcomes(lambda: range(64), work, 2)
+    outcomes = with_outcomes(range(64), work, 2)
     assert [next(outcomes)[0] for _ in range(40)] == list(range(40))
     with pytest.raises(ValueError, match="number 40"):
         next(outcomes)
 
 
 def test_no_copy_is_left_when_nobody_asks_on():
-    outcomes = with_outcomes(lambda: range(10**9), with_pid, 2)
+    outcomes = with_outcomes(range(10**9), with_pid, 2)
     pids = {next(outcomes)[1][1] for _ in range(64)}
     copy = (pids - {os.getpid()}).pop()
     os.kill(copy, 0)  # it is there
@@ -66,7 +70,7 @@ def test_no_copy_is_left_when_nobody_asks_on():
 
 def test_a_copy_ends_when_the_process_that_was_copied_is_killed(tmp_path):
     def drive():
-        for _, (_, pid) in with_outcomes(lambda: range(10**9), with_pid, 3):
+        for _, (_, pid) in with_outcomes(range(10**9), with_pid, 3):
             if pid != os.getpid():
                 with (tmp_path / "pids").open("a") as file:
                     file.write(f"{pid}\n")
@@ -103,7 +107,7 @@ def _wait_for(condition, seconds=20.0):
 
 @pytest.mark.parametrize("after_s", [0.0, 0.0005, 0.001, 0.005])
 def test_a_copy_ends_however_soon_nobody_asks_on(after_s):
-    outcomes = with_outcomes(lambda: range(10**9), with_pid, 2)
+    outcomes = with_outcomes(range(10**9), with_pid, 2)
     next(outcomes)
     time.sleep(after_s)
     outcomes.close()

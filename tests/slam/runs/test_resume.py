@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from slam.backend.pose_graph import GraphConfig, PoseGraph
+from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import LogWriter
 from slam.logs.messages import LaserExtrinsics, WheelOdometry
-from slam.logs.trajectory import compose, read_tum
+from slam.logs.trajectory import read_tum
 
 from slam.evaluation.metrics import align
 from slam.mapping.config import SlamConfig
