@@ -14,8 +14,7 @@ from slam.logs.messages import Message
 from slam.logs.trajectory import Trajectory, read_tum
 
 from benchmarks.alterations import ALTERATIONS, mirrored_back
-from benchmarks.drive_book import program_sha256
-from benchmarks.result_book import ResultBook
+from benchmarks.kept_runs import KeptRuns
 from benchmarks.situations import refused
 from slam.evaluation.metrics import absolute_errors, align, associate
 from slam.evaluation.relations import Relations, read_relations, relation_errors
@@ -23,7 +22,6 @@ from slam.mapping.config import SlamConfig
 from slam.runs.errors import RunError, SlamError
 from slam.runs.offline import run_offline
 
-KEY = ("log", "alteration")
 SEED = 1
 STAMP_GAP_S = 0.02  # between a pose and its scan; keyframe logs round theirs
 QUICK = ("freiburg-101",)
@@ -56,18 +54,17 @@ def bench_altered_logs(
     names = names or (QUICK if quick else known_logs(data))
     if not names:
         raise RunError(f"{data}: no benchmark/NAME.relations and no keyframes/NAME.ref.tum")
-    what = {"config_sha256": config.sha256(), "program_sha256": program_sha256()}
-    book = ResultBook(out / "altered-logs.jsonl", what, KEY)
+    kept = KeptRuns(out / "altered-logs.jsonl", config)
     for name in names:
-        rest = [kind for kind in ALTERATIONS if (name, kind) not in book.results]
+        rest = [kind for kind in ALTERATIONS if f"{name} {kind}" not in kept]
         log = _read(data, name) if rest else None
         for kind in rest:
             assert log is not None
             result = replay(name, log, kind, config)
             say(" ".join(f"{key}={value}" for key, value in result.items()))
-            book.add(result)
-    rows = [_row(name, kind, book) for name in names for kind in ALTERATIONS]
-    return {"meta": {**what, "seed": SEED}, "rows": rows}
+            kept.add(f"{name} {kind}", result)
+    rows = [_row(name, kind, kept) for name in names for kind in ALTERATIONS]
+    return {"meta": {"seed": SEED}, "rows": rows}
 
 
 def known_logs(data: Path) -> list[str]:
@@ -121,8 +118,8 @@ def error_m(trajectory: Trajectory, truth: Relations | Trajectory, mirror: bool)
     return round(float(np.sqrt(np.mean(errors.trans_m**2))), 5)
 
 
-def _row(name: str, kind: str, book: ResultBook) -> dict[str, Any]:
-    result, plain = book.results[name, kind], book.results[name, "none"]
+def _row(name: str, kind: str, kept: KeptRuns) -> dict[str, Any]:
+    result, plain = kept[f"{name} {kind}"], kept[f"{name} none"]
     ours, without = result.get("error_m"), plain.get("error_m")
     return {
         "log": name,

@@ -17,10 +17,10 @@ Row = dict[str, Any]
 class KeptRuns:
     """A file with one result a line; those of another program or configuration do not count."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, config: SlamConfig | None = None) -> None:
         """Read what is there; a line that was cut off is made again."""
         self._path = path
-        self._made_by = f"{program_sha256()} {SlamConfig().sha256()}"
+        self._made_by = f"{program_sha256()} {(config or SlamConfig()).sha256()}"
         self._rows: dict[str, Row] = {}
         text = path.read_text("utf-8") if path.exists() else ""
         self._before = "" if text.endswith("\n") or not text else "\n"  # ends a line cut off

@@ -41,6 +41,16 @@ class Benchmark:
 
 
 BENCHMARKS: Mapping[str, Benchmark] = {
+    "altered-logs": Benchmark(
+        "real logs, altered: stale or missing odometry, scale, cut ranges and more",
+        "benchmarks.altered_logs:bench_altered_logs", "out data quick say",
+        {
+            "log": "log", "alteration": "alteration", "error_m": "error m",
+            "unaltered_m": "unaltered", "ratio": "ratio", "raw_m": "odometry alone",
+            "odometry_refused": "odometry refused",
+        },
+        data="`benchmark/` with NAME.clf.gz and NAME.relations, `keyframes/` with NAME.ref.tum",
+    ),
     "batch": Benchmark(
         "how batches scale with workers",
         "benchmarks.batch:bench_batch", "quick say",
@@ -144,6 +154,27 @@ BENCHMARKS: Mapping[str, Benchmark] = {
         {
             "world": "world", "method": "method", "setting": "setting",
             "matches_median": "matches", "ate_m_median": "ATE m", "cpu_ms_median": "cpu ms",
+        },
+    ),
+    "places": Benchmark(
+        "recall of places by their shape, same way and reverse",
+        "benchmarks.places:bench_places", "data quick say",
+        {
+            "log": "log", "places": "places", "same_revisits": "same way",
+            "same_among_1": "first", "same_among_50": "among 50",
+            "reverse_revisits": "reverse", "reverse_among_1": "first",
+            "reverse_among_50": "among 50", "describe_us": "us to describe",
+            "query_us": "us a query",
+        },
+        data="`benchmark/` with NAME.clf.gz, `keyframes/` with NAME.ref.tum",
+    ),
+    "situations": Benchmark(
+        "simulated drives that break maps, with and without their trait",
+        "benchmarks.situations:bench_situations", "out quick say",
+        {
+            "situation": "situation", "ate_m": "ATE m", "without_m": "without", "raw_m": "odometry",
+            "closures": "closures", "false_closures": "false", "odometry_refused": "refused",
+            "refused_without": "refused without",
         },
     ),
     "view": Benchmark(

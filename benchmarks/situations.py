@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from slam.backend.se2 import compose
 from slam.drivers.simulators.situations import SITUATIONS, situation_drive
-from slam.logs.trajectory import Trajectory, compose
+from slam.logs.trajectory import Trajectory
 
 from benchmarks.buildings import judged_closures
-from benchmarks.drive_book import program_sha256
-from benchmarks.result_book import ResultBook
+from benchmarks.kept_runs import KeptRuns
 from slam.evaluation.metrics import align
 from slam.mapping.config import SlamConfig
 from slam.runs.errors import SlamError
@@ -23,7 +23,6 @@ from slam.runs.offline import Result, run_offline
 
 SEEDS = 3
 SLOW = ("long-loop",)  # left out of the quick campaign
-KEY = ("situation", "seed", "trait")
 
 
 def bench_situations(
@@ -39,17 +38,20 @@ def bench_situations(
     """  # fmt: skip
     config = config or SlamConfig()
     names = names or [name for name in SITUATIONS if not (quick and name in SLOW)]
-    what = {"config_sha256": config.sha256(), "program_sha256": program_sha256()}
-    book = ResultBook(out / "situations.jsonl", what, KEY)
+    kept = KeptRuns(out / "situations.jsonl", config)
     seeds = range(1, (1 if quick else SEEDS) + 1)
     for name in names:
         for seed in seeds:
             for trait in (True, False):
-                if (name, seed, trait) not in book.results:
+                if _run(name, seed, trait) not in kept:
                     result = drive(name, seed, trait, config)
                     say(" ".join(f"{key}={value}" for key, value in result.items()))
-                    book.add(result)
-    return {"meta": what, "rows": [_row(name, seeds, book) for name in names]}
+                    kept.add(_run(name, seed, trait), result)
+    return {"meta": {"seeds": len(seeds)}, "rows": [_row(name, seeds, kept) for name in names]}
+
+
+def _run(name: str, seed: int, trait: bool) -> str:
+    return f"{name} {seed} {'with' if trait else 'without'}"
 
 
 def drive(name: str, seed: int, trait: bool, config: SlamConfig) -> dict[str, Any]:
@@ -87,9 +89,9 @@ def refused(result: Result) -> int:
     return sum(f.kind == "odometry" and not f.used for f in result.slam.records.factors)
 
 
-def _row(name: str, seeds: Sequence[int], book: ResultBook) -> dict[str, Any]:
-    odd = [book.results[name, seed, True] for seed in seeds]
-    plain = [book.results[name, seed, False] for seed in seeds]
+def _row(name: str, seeds: Sequence[int], kept: KeptRuns) -> dict[str, Any]:
+    odd = [kept[_run(name, seed, True)] for seed in seeds]
+    plain = [kept[_run(name, seed, False)] for seed in seeds]
     return {
         "situation": name,
         "ate_m": [r.get("ate_m") for r in odd],

@@ -9,6 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import ArrayLike, NDArray
 
+from slam.backend.se2 import compose
 from slam.logs.messages import (
     LaserExtrinsics,
     LaserScan,
@@ -16,7 +17,7 @@ from slam.logs.messages import (
     OccupancyMap,
     WheelOdometry,
 )
-from slam.logs.trajectory import Trajectory, compose
+from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
 from slam.mapping.slam import Slam
 from slam.maps.occupancy import build_map

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from slam.backend.se2 import between, wrap
 from slam.evaluation.report.page_data import Values, column
 from slam.evaluation.report.read_run import Run
 from slam.logs.messages import LaserScan, LoopResult
-from slam.logs.trajectory import between, wrap
 
 _MOST_ROWS = 300  # of the table
 _MOST_CLOSURES = 8000  # on the map: about 40 bytes of page each

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from slam.backend.se2 import between, compose, wrap
 from slam.evaluation.relations import MATCH_TOLERANCE_S, nearest_rows
 from slam.evaluation.report.evaluate import RunReport
 from slam.evaluation.report.page_data import Values, column, shown_rows
 from slam.logs.messages import PoseEstimate
-from slam.logs.trajectory import NS, Poses, Trajectory, between, compose, wrap
+from slam.logs.trajectory import NS, Poses, Trajectory
 
 _SPEED_WINDOW_S = 1.0  # over which speed is taken: shorter ones show the jitter of the poses
 _RELATION_REACH_S = 2.5  # farthest a pose may be from a relation whose error it is shown with

@@ -17,7 +17,6 @@ from benchmarks.alterations import (
     odometry_withheld,
     ranges_cut,
 )
-from benchmarks.result_book import ResultBook
 
 NS = 1_000_000_000
 
@@ -102,14 +101,3 @@ def test_mirror_turns_left_into_right_and_back(log):
     assert np.array_equal(mirrored_back(poses), true)
     a, b = scans(log)[0], scans(seen)[0]
     assert (b.angle_min, b.angle_step) == (-a.angle_min, -a.angle_step)
-
-
-def test_result_book_goes_on_where_it_was_cut(tmp_path):
-    path = tmp_path / "book.jsonl"
-    book = ResultBook(path, {"of": 1}, ("log",))
-    book.add({"log": "a", "error_m": 1.0})
-    with path.open("a") as file:
-        file.write('{"log": "b", "err')
-    again = ResultBook(path, {"of": 1}, ("log",))
-    assert again.results == {("a",): {"log": "a", "error_m": 1.0}}
-    assert ResultBook(path, {"of": 2}, ("log",)).results == {}
