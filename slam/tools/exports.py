@@ -103,7 +103,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 def _received(
     source: Path, log: Path, topics: Collection[str], done: Exported
 ) -> Iterator[_Received]:
-    """Messages with their times of receipt, in the order in which formats want them."""
+    """Messages with their times of receipt, in the order that the formats need."""
     if source is log:
         yield from _logged(log, topics, done)
         return
@@ -161,7 +161,7 @@ def _copy(source: Path, out: Path, done: Exported) -> None:
 
 
 def _write(out: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under another name first, so that it is there whole or not at all."""
+    """Write a file under another name first, so that it is complete or not there."""
     partial = out.with_name(out.name + ".partial")
     try:
         write(partial)
