@@ -57,23 +57,24 @@ def replay(
     config: ConfigOption = None,
     set_: SetOption = None,
     from_: Annotated[
-        _From, typer.Option("--from", help="Logged messages, or the devices' raw bytes anew.")
+        _From,
+        typer.Option("--from", help="Logged messages, or raw bytes decoded again."),
     ] = _From.decoded,
     rate: Annotated[
-        float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as it goes.")
+        float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as possible.")
     ] = 0.0,
     resume: Annotated[
-        Path | None, typer.Option(help="RUN whose map to go on with.", readable=False)
+        Path | None, typer.Option(help="RUN whose map to continue.", readable=False)
     ] = None,
     start: Annotated[
         str,
         typer.Option(
-            help="With --resume, where in that map the log starts: `end` or x,y,theta in m and "
-            "rad; searched for if not given."
+            help="With --resume, where in that map the log starts: `end`, or x,y,theta in m and "
+            "rad; searched for by default."
         ),
     ] = "",
     view: Annotated[
-        bool, typer.Option("--view", help="Serve a page that shows the map grow.")
+        bool, typer.Option("--view", help="Serve a page with the growing map.")
     ] = False,
     view_address: AddressOption = LOCAL,
     view_port: PortOption = PORT,
@@ -83,12 +84,12 @@ def replay(
         int,
         typer.Option(
             min=0,
-            help="To place the scans with at the end; 0: one a core, at most 4. The result "
-            "is the same; with --view or --foxglove it is always 1.",
+            help="Processes that place the scans at the end; 0: one per core, at most 4. The "
+            "result is the same. Always 1 with --view or --foxglove.",
         ),
     ] = 0,
 ) -> None:
-    """Run SLAM over a log, as fast as it goes or paced; the result is the same."""
+    """Run SLAM over a log, as fast as possible or at its own pace; the result is the same."""
     from slam.cli.progress import stage_progress
     from slam.online.robot_config import load_slam
     from slam.runs.process_pool import worker_count
@@ -122,7 +123,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Judge runs by their truth: report.html for people, report.json for programs."""
+    """Evaluate runs against their truth; write report.html and report.json."""
     from slam.evaluation.report.write import write_report
 
     if out is None and len(runs) > 1:
@@ -142,7 +143,7 @@ def reoptimise(
     config: ConfigOption = None,
     set_: SetOption = None,
 ) -> None:
-    """Optimise a finished graph again, with other noise, kernels or closures."""
+    """Optimise a finished graph again, with other noise, robust losses or closures."""
     from slam.runs.reoptimise import reoptimise as run_reoptimise
 
     summary = run_reoptimise(source, out, config, set_ or [])
@@ -157,7 +158,8 @@ def reoptimise(
 def demo(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("demo-out"),
     direct: Annotated[
-        bool, typer.Option("--direct", help="Leave devices and wires out, where there are no ptys.")
+        bool,
+        typer.Option("--direct", help="No simulated devices, where ptys are missing."),
     ] = False,
     real: Annotated[
         bool, typer.Option("--real", help="Map a real building instead; needs the extra `demo`.")

@@ -15,7 +15,7 @@ from slam.runs.errors import RunError
 
 _Workers = Annotated[
     int | None,
-    typer.Option(min=1, help="Worker processes on this machine; one a core if not said."),
+    typer.Option(min=1, help="Worker processes on this machine; by default one per core."),
 ]
 _Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler to use instead: tcp://host:8786.")
@@ -46,10 +46,10 @@ def batch(
     workers: _Workers = None,
     scheduler: _Scheduler = None,
 ) -> None:
-    """Replay and judge every log under every combination of settings.
+    """Replay and evaluate every log under every combination of settings.
 
     Run the same command again after an interruption: what is finished is not repeated. A log
-    that fails is a row with its reason, and exit code 3. Needs the extra `batch`.
+    that fails becomes a row with its reason, and the exit code is 3. Needs the extra `batch`.
     """
     _need_the_extra()
     from slam.experiments.batch.batch import Batch, run_batch
@@ -74,19 +74,19 @@ def tune(
     ],
     out: Annotated[Path, typer.Option(help="Folder for the study and the configuration.")],
     score: Annotated[
-        list[str] | None, typer.Option(help="A log to judge by, which the search never sees.")
+        list[str] | None, typer.Option(help="A log for evaluation, which the search never sees.")
     ] = None,
     objective: Annotated[
         str, typer.Option(help="relations, ate, or matches (at no more error than --against).")
     ] = "ate",
-    trials: Annotated[int, typer.Option(min=1, help="In all, those of earlier runs too.")] = 50,
+    trials: Annotated[int, typer.Option(min=1, help="In total, with those of earlier runs.")] = 50,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     together: Annotated[
         int, typer.Option(min=1, help="Trials chosen at once; keeps more workers busy.")
     ] = 4,
     against: Annotated[
         list[str] | None,
-        typer.Option(help="section.key=value of the reference; the start's if not said."),
+        typer.Option(help="section.key=value of the reference; by default that of the start."),
     ] = None,
     truth: _Truth = None,
     config: _Config = None,
@@ -94,14 +94,14 @@ def tune(
         list[str] | None, typer.Option("--set", help="Where to start: section.key=value.")
     ] = None,
     storage: Annotated[
-        str | None, typer.Option(help="Database of the study; OUT/study.db if not said.")
+        str | None, typer.Option(help="Database of the study; by default OUT/study.db.")
     ] = None,
     workers: _Workers = None,
     scheduler: _Scheduler = None,
 ) -> None:
-    """Find the settings that do best on some logs, and judge them on others.
+    """Find the settings that do best on some logs, and evaluate them on others.
 
-    Goes on where it was interrupted; needs the extra `batch`.
+    Continues where it was interrupted. Needs the extra `batch`.
     """
     _need_the_extra()
     from slam.experiments.batch.engine import engine

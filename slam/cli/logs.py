@@ -1,4 +1,4 @@
-"""The commands that make logs, look into them, and turn them into others."""
+"""The commands that make, examine and convert logs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ LogArgument = Annotated[
 def simulate(
     world: Annotated[str, typer.Argument(help="Name of a world; `list` names them all.")],
     out: Annotated[Path | None, typer.Option(help="Log to write (.mcap).")] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Geometry, noise and odometry follow from it.")
-    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Decides geometry, noise and odometry.")] = 0,
     laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
     noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
     passes: Annotated[
-        int, typer.Option(min=1, help="Ways through the world, every other one back in reverse.")
+        int, typer.Option(min=1, help="Passes through the world; every second one in reverse.")
     ] = 1,
 ) -> None:
     """Drive a simulated robot through a world and log what it senses, with the truth."""
@@ -122,7 +120,7 @@ def import_(
 
 
 def info(log: LogArgument) -> None:
-    """Say what a log holds: channels, rates, gaps, losses, identity."""
+    """Describe a log: channels, rates, gaps, losses, identity."""
     from slam.tools.inspect import describe_log
 
     typer.echo(describe_log(log))
@@ -131,10 +129,10 @@ def info(log: LogArgument) -> None:
 def doctor(
     log: LogArgument,
     json_: Annotated[
-        Path | None, typer.Option("--json", help="File for the findings, for programs.")
+        Path | None, typer.Option("--json", help="File for the findings as JSON.")
     ] = None,
 ) -> None:
-    """Say what is odd about a log; exit code 3 on warnings, 1 on errors."""
+    """Check a log and list what is odd; exit code 3 on warnings, 1 on errors."""
     from slam.tools.inspect import examine_log
 
     text, code = examine_log(log, json_)
@@ -147,7 +145,7 @@ def recover(
     file: Annotated[
         Path, typer.Argument(help="A log that was not closed, or is damaged.", readable=False)
     ],
-    out: Annotated[Path, typer.Option(help="Sound log to write (.mcap).")],
+    out: Annotated[Path, typer.Option(help="Intact log to write (.mcap).")],
 ) -> None:
     """Save what is intact of a damaged log; exit code 3 if anything was lost."""
     from slam.logs.recover import recover as recover_log
@@ -171,7 +169,7 @@ def export(
         str,
         typer.Option(
             help="What --tum writes: odometry or truth of a log, trajectory, keyframes or "
-            "odometry of a RUN; the first of these if not said."
+            "odometry of a RUN; by default the first of these."
         ),
     ] = "",
 ) -> None:

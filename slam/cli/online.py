@@ -23,7 +23,7 @@ from slam.cli.output import LOSS
 if TYPE_CHECKING:
     from slam.runs.status import Status
 
-drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
+drivers_app = typer.Typer(help="Probe ports, or simulate devices.", no_args_is_help=True)
 _QUIET_S = 5.0  # s between progress lines where stderr is no terminal
 
 
@@ -32,20 +32,20 @@ def online(
         Path, typer.Option(help="robot.toml: ports, mount, settings.", readable=False)
     ],
     out: Annotated[Path, typer.Option(help="RUN directory to make.")],
-    record_only: Annotated[bool, typer.Option(help="Record; make no map.")] = False,
+    record_only: Annotated[bool, typer.Option(help="Record without mapping.")] = False,
     seconds: Annotated[
-        float, typer.Option(min=0, help="End after so many seconds; 0: on Ctrl-C.")
+        float, typer.Option(min=0, help="Stop after this many seconds; 0: on Ctrl-C.")
     ] = 0.0,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Override a setting: section.key=value.")
     ] = None,
-    view: Annotated[bool, typer.Option(help="Serve a page that shows the map grow.")] = True,
+    view: Annotated[bool, typer.Option(help="Serve a page with the growing map.")] = True,
     view_address: AddressOption = LOCAL,
     view_port: PortOption = PORT,
     view_token: TokenOption = "",
     foxglove: FoxgloveOption = False,
 ) -> None:
-    """Record and map on the robot until Ctrl-C. The motors are never touched."""
+    """Record and map on the robot until Ctrl-C. The motors are never commanded."""
     from slam.online.online import run_online
     from slam.online.robot_config import load_robot
     from slam.online.stop_request import StopRequest
@@ -77,7 +77,7 @@ def probe(
     ],
     seconds: Annotated[float, typer.Option(min=0.2, help="How long to listen to each.")] = 1.5,
 ) -> None:
-    """Say what is connected to each port, and what to do where something is wrong."""
+    """Report what is connected to each port, and what to do if something is wrong."""
     from slam.drivers.probe import probe as ask
 
     reports = []
@@ -109,10 +109,11 @@ def simulate(
         int, typer.Option(min=0, max=65535, help="TCP port; 0: a pseudo-terminal.")
     ] = 0,
     drive: Annotated[
-        bool, typer.Option(help="Drive by itself once both are read; else obey the client.")
+        bool,
+        typer.Option(help="Drive by itself once both ports are read; else obey clients."),
     ] = False,
     folder: Annotated[
-        Path | None, typer.Option(help="Where the pseudo-terminals get their names.")
+        Path | None, typer.Option(help="Folder for links to the pseudo-terminals.")
     ] = None,
 ) -> None:
     """Simulate a robot and a laser, for `slam online` or any other program, until Ctrl-C."""

@@ -10,7 +10,7 @@ AddressOption = Annotated[
     str,
     typer.Option(
         "--view-address",
-        help="Address to serve the view on; one that others can reach asks them for a token.",
+        help="Address to serve the view on. From other machines a token is needed.",
     ),
 ]
 PortOption = Annotated[
@@ -20,7 +20,7 @@ TokenOption = Annotated[
     str,
     typer.Option(
         "--view-token", envvar="SLAM_VIEW_TOKEN", show_default=False,
-        help="Token of the view, so that pages find back after a restart; made up if not given.",
+        help="Token of the view, so that pages reconnect after a restart; random by default.",
     ),
 ]  # fmt: skip
 FoxgloveOption = Annotated[

@@ -102,7 +102,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 def _received(
     source: Path, log: Path, topics: Collection[str], done: Exported
 ) -> Iterator[_Received]:
-    """Messages with their times of receipt, in the order in which formats want them."""
+    """Messages with their times of receipt, in the order that the formats need."""
     if source is log:
         yield from _logged(log, topics, done)
         return

@@ -16,7 +16,7 @@ from slam.logs.messages import LaserScan
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What came over, what had to be repaired, and what could not be used."""
+    """What was imported, what was repaired, and what could not be used."""
 
     kind: str
     messages: int

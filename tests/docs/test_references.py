@@ -48,9 +48,8 @@ def anchors(page):
 def test_every_cited_document_exists(path):
     for cited in DOCUMENT.findall(path.read_text("utf-8")):
         if cited not in WRITTEN_BY_PROGRAM:
-            assert any((folder / cited).is_file() for folder in (ROOT, ROOT / "docs")), (
-                f"{name(path)} cites {cited}"
-            )
+            places = (folder / cited for folder in (ROOT, ROOT / "docs", path.parent))
+            assert any(place.is_file() for place in places), f"{name(path)} cites {cited}"
 
 
 def test_every_cited_section_of_the_devices_exists():

@@ -166,7 +166,7 @@ def test_settings_named_in_sentences_exist(page):
     sections = "|".join(SlamConfig.model_fields)
     known = {*known_keys(SlamConfig), *known_keys(RobotConfig)}
     name = re.compile(rf"`(?:--set )?((?:{sections})\.[a-z_.]+)(?:\s?=[^`]*)?`")
-    files = (".yaml", ".png", ".pgm", ".g2o", ".csv")
+    files = (".yaml", ".toml", ".json", ".tum", ".png", ".pgm", ".g2o", ".csv")
     for found in name.findall(page.read_text("utf-8")):
         assert found in known or found.endswith(files), f"{page.name} names {found}"
 

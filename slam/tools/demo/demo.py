@@ -68,7 +68,7 @@ def _recorded(out: Path, say: Callable[[str], None]) -> Path:
 
 
 def _simulated(out: Path, say: Callable[[str], None]) -> Path:
-    """Write what the simulator says right into a log."""
+    """Write the simulator's messages straight into a log."""
     log = out / "testbed.mcap"
     say("driving 462 scans through the simulated test bed")
     with LogWriter(log, {"world": "testbed", "reading": READING}, keep_partial=False) as writer:

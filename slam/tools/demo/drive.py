@@ -63,7 +63,7 @@ PAPER = Plan(
 
 
 class SimulatedRobot:
-    """A P3-DX and a UTM-30LX that share a world; it drives when it is told to."""
+    """A P3-DX and a UTM-30LX that share a world; the robot drives on command."""
 
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.plan, seed = plan, plan.seed
@@ -136,7 +136,7 @@ def drive_online(
 
 
 class _Process:
-    """The online command, and the last thing it said."""
+    """The online command, and its last message."""
 
     def __init__(self, command: list[str], say: Callable[[str], None]) -> None:
         self.last = ""
@@ -174,7 +174,7 @@ class _Process:
             self.check()
 
     def end(self) -> None:
-        """Make sure that it is gone."""
+        """Make sure that it has ended."""
         if self._child.poll() is None:
             self._child.kill()
         self._child.wait()

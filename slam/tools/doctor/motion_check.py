@@ -1,4 +1,4 @@
-"""Do wheels and scans tell the same story?  Slip, scales, signs, and where the laser sits.
+"""Do wheels and scans agree?  Slip, scales, signs, and where the laser sits.
 
 A bounded number of pairs of scans is matched without asking the wheels; pairs in which the
 scans do not see the motion (corridors) have no say.
@@ -89,7 +89,7 @@ class _Matcher:
         self._last: tuple[LaserScan, PreparedScan] | None = None
 
     def judge(self, pair: Pair) -> _Judged | None:
-        """The laser's step, None if the scans cannot tell."""
+        """The laser's step; None if the scans do not determine it."""
         first, second = self._prepared(pair.first), self._prepared(pair.second)
         by_wheels = self._base_T_laser.inverse() * pair.step * self._base_T_laser
         # What the wheels say, nothing, and the opposite: each has a start that would be right.
@@ -177,7 +177,7 @@ def _severity(off: float, error: float) -> Severity:
 
 
 def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
-    """Single pairs and blocks of neighbours that honest wheels could not have."""
+    """Single pairs and blocks of neighbours that sound wheels could not give."""
     found = []
     extrinsics = Pose2(fit.place.real, fit.place.imag, fit.yaw)
     turn_scale = fit.turn_scale if math.isfinite(fit.turn_scale) else 1.0

@@ -78,7 +78,7 @@ def _rows(factors: Complex) -> Array:
 
 
 def _turn_scale(wheel_turns: Array, laser_turns: Array) -> tuple[float, float]:
-    """The scale and its sigma.  The scans stand for the truth: noise of theirs would bias it."""
+    """The scale and its sigma.  The scans count as true: their noise would bias it."""
     turns = np.abs(laser_turns) > LEAST_TURN
     if np.count_nonzero(turns) < LEAST_TURNS:
         return math.nan, math.nan

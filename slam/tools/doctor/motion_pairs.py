@@ -27,7 +27,7 @@ _WAITING = 256  # scans that wait for the odometry behind them
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair:
-    """Two scans and how the wheels say that the base moved from the first to the second."""
+    """Two scans, and the base's step from the first to the second by the wheels."""
 
     serial: int  # neighbours follow each other without a gap
     first: LaserScan
@@ -39,7 +39,7 @@ class Pair:
 
 
 class Blocks:
-    """Pairs in blocks, thinned out evenly."""
+    """Pairs in blocks, sampled evenly."""
 
     def __init__(self, most: int) -> None:
         self.seen = 0
@@ -76,7 +76,7 @@ class PairCollector:
     """Takes in a log message by message; `moving` and `still` hold the pairs."""
 
     def __init__(self, most_moving: int = 100, most_still: int = 20) -> None:
-        """Keep so many blocks at most."""
+        """Keep at most this many blocks."""
         self.extrinsics: LaserExtrinsics | None = None
         self.moving, self.still = Blocks(most_moving), Blocks(most_still)
         self._waiting: deque[LaserScan] = deque(maxlen=_WAITING)
