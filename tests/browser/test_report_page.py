@@ -73,6 +73,7 @@ def test_it_opens_without_a_network_and_shows_its_plots(report, visit):
         ready(page, report)
         assert [url for url in asked if not url.startswith("data:")] == [report.as_uri()]
         assert page.locator(".map canvas").count() == 3
+        scroll_through(page)
         for title in (
             "Final pose error", "x over time", "Heading over time", "Position error over time",
             "Position error over distance", "NEES with chi-square band",
@@ -86,6 +87,18 @@ def test_it_opens_without_a_network_and_shows_its_plots(report, visit):
             assert box["width"] > 200
             assert box["height"] > 10
         assert no_sideways_scroll(page), "the page must not scroll sideways"
+
+
+def scroll_through(page):
+    """Bring every chart into sight once: they are drawn when one gets near."""
+    page.evaluate(
+        """async () => {
+            for (const host of document.querySelectorAll(".chart")) {
+                host.scrollIntoView();
+                while (!host.querySelector("canvas")) await new Promise(requestAnimationFrame);
+            }
+        }"""
+    )
 
 
 def no_sideways_scroll(page):
@@ -108,6 +121,7 @@ def ink(page, locator):
 def test_every_chart_and_map_has_something_drawn(report, visit):
     with visit(offline=True) as page:
         ready(page, report)
+        scroll_through(page)
         canvases = page.locator(".chart canvas, .map canvas")
         assert canvases.count() > 20
         for k in range(canvases.count()):
@@ -170,7 +184,8 @@ def test_a_chart_and_the_map_show_the_same_pose(report, visit):
     with visit(offline=True) as page:
         ready(page, report)
         chart = page.locator("[data-run='0'][data-chart='0'] .u-over")
-        chart.scroll_into_view_if_needed()
+        page.locator("[data-run='0'][data-chart='0']").scroll_into_view_if_needed()
+        chart.wait_for()
         box = chart.bounding_box()
         page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 50)
         said = page.locator("[data-run='0'][data-chart='0'] .u-value").all_inner_texts()
@@ -245,6 +260,24 @@ def test_a_click_on_the_map_opens_the_closure_there(long_report, visit):
         assert "scan of keyframe 12 at 48.0 s" in panel.inner_text()
 
 
+@pytest.mark.parametrize("poses", [1, 2, 200])
+def test_a_run_of_which_little_is_left_is_shown(tmp_path, visit, poses):
+    t = np.linspace(0.0, 6.0, poses)
+    path = Trajectory(NS + np.arange(poses) * NS, np.column_stack([t, 0 * t, 0 * t]))
+    (tmp_path / "run").mkdir()
+    write_tum(tmp_path / "run" / "trajectory.tum", path)
+    write_report([tmp_path / "run"], None, tmp_path / "report.html")
+    with visit(offline=True) as page:
+        ready(page, tmp_path / "report.html")
+        if poses == 1:
+            page.locator(".map").click()
+        else:
+            page.locator("input[type=range]").press("End")
+        assert facts(page, ".readout")["time"] == f"{poses - 1}.000 s"
+        scroll_through(page)
+        assert page.locator(".chart canvas").count() == 3
+
+
 def test_panning_a_long_path_is_smooth(long_report, visit):
     with visit(offline=True) as page:
         ready(page, long_report)
@@ -277,6 +310,7 @@ def test_it_is_good_on_a_phone(report, chromium):
     try:
         page = context.new_page()
         ready(page, report)
+        scroll_through(page)
         assert no_sideways_scroll(page)
         place = page.locator("#run-0-map .map")
         point = point_at(page, "#run-0-map", 30)
@@ -321,6 +355,7 @@ def test_light_dark_and_print_differ(report, visit):
             "all => all.map(e => e.getBoundingClientRect().width)"
         )
         assert max(widths) <= 1200
+        assert page.locator(".chart canvas").count() == page.locator(".chart").count()
         paper = page.locator(".chart .uplot").evaluate_all(
             "all => all.map(e => e.getBoundingClientRect().width)"
         )

@@ -36,9 +36,9 @@ def pack(document: Any) -> str:
     return base64.b64encode(zlib.compress(text.encode("utf-8"))).decode("ascii")
 
 
-def shown_rows(n: int, always: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+def shown_rows(n: int, always: NDArray[np.intp]) -> NDArray[np.intp]:
     """Rows of n that a page has room for: all, or evenly spread with some that must not miss."""
     if n <= MOST_POINTS:
         return np.arange(n)
     spread = np.linspace(0, n - 1, MOST_POINTS).astype(np.intp)
-    return np.unique(np.concatenate([spread, always])) if always is not None else spread
+    return np.unique(np.concatenate([spread, always]))
