@@ -138,8 +138,8 @@ function addClosures(run, map, panel, addLayer) {
         [`x, ${motion}`, value("x", 3, " m")],
         [`y, ${motion}`, value("y", 3, " m")],
         [`heading, ${motion}`, value("heading", 2, "°")],
-        ["off the graph by", value("off_m", 4, " m")],
-        ["and by", value("off_deg", 3, "°")],
+        ["off the graph", value("off_m", 4, " m")],
+        ["off in heading", value("off_deg", 3, "°")],
       ]),
       element(
         "p",
