@@ -96,4 +96,8 @@ async function start() {
   document.documentElement.dataset.ready = "true";
 }
 
-start();
+start().catch(error => {
+  const words = `Map and charts cannot be drawn in this browser: ${error.message}`;
+  document.querySelector("nav").after(element("p", {className: "warnings"}, words));
+  throw error;
+});

@@ -9,6 +9,13 @@ const COLOURINGS = [
   ["speed", "speed", 2, " m/s"],
 ];
 
+/** Writes the facts of a pose into the half of the map where the pose is not. */
+function showFacts(map, readout, pose, facts) {
+  readout.hidden = false;
+  readout.classList.toggle("left", map.latLngToContainerPoint(pose).x > map.getSize().x / 2);
+  readout.replaceChildren(factList(facts));
+}
+
 /** The map of one run with its controls. */
 function drawRunMap(place, run) {
   const {path} = run,
@@ -108,8 +115,7 @@ function drawRunMap(place, run) {
   function show(k) {
     probe(path.x[k], path.y[k]);
     slider.value = k;
-    readout.hidden = false;
-    readout.replaceChildren(factList(run.facts(k)));
+    showFacts(map, readout, [path.y[k], path.x[k]], run.facts(k));
   }
 
   const shown = name => layers.get(name)?.box.checked;
@@ -169,8 +175,8 @@ function drawAllPaths(place, runs) {
   }
   const look = pointAt(map, paths, (which, k) => {
     probe(paths[which].x[k], paths[which].y[k]);
-    readout.hidden = false;
-    readout.replaceChildren(factList([["run", runs[which].name], ...runs[which].facts(k)]));
+    const facts = [["run", runs[which].name], ...runs[which].facts(k)];
+    showFacts(map, readout, [paths[which].y[k], paths[which].x[k]], facts);
   });
   map.on("click", look);
   host.leaflet = map;
