@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from slam.evaluation.report.evaluate import RunReport
@@ -40,7 +41,8 @@ class Chart:
     def for_page(self) -> dict[str, Any]:
         """Return it as JSON; events have a row for each curve."""
         n = 0 if isinstance(self.x, str) else len(self.x)
-        rows = shown_rows(n)
+        own = [c.y for c in self.curves if not isinstance(c.y, str) and np.isfinite(c.y).any()]
+        rows = shown_rows(n, np.array([np.nanargmax(y) for y in own], dtype=np.intp))
         return {
             "title": self.title,
             "kind": self.kind,
@@ -64,7 +66,7 @@ def charts(report: RunReport, path: Mapping[str, Any]) -> list[tuple[str, list[C
     return [(heading, made) for heading, made in groups if made]
 
 
-def _values(values: Values | str, rows: Any) -> Any:
+def _values(values: Values | str, rows: NDArray[np.intp]) -> Any:
     return values if isinstance(values, str) else column(values[rows], _DIGITS)
 
 

@@ -53,7 +53,7 @@ def closure_columns(run: Run) -> dict[str, Any]:
     """
     keyframes, results = run.keyframes, run.records.closure_results
     shown = [results[k] for k in _shown(results)]
-    if keyframes is None or not shown:
+    if keyframes is None or len(keyframes) == 0 or not shown:
         return {}
     last = len(keyframes) - 1
     old, new = (np.array([getattr(r, end) for r in shown]) for end in ("i", "j"))

@@ -25,7 +25,7 @@ from slam.logs.trajectory import path_length
 
 SCRIPTS = (
     "vendor/leaflet.js", "vendor/uplot.js", "tables.js", "data.js", "map.js", "closures.js",
-    "charts.js", "report.js",
+    "run_map.js", "charts.js", "report.js",
 )  # fmt: skip
 
 

@@ -25,8 +25,8 @@ def path_columns(report: RunReport) -> dict[str, Any]:
     180 degrees, so that they can be drawn.
     """
     run, errors = report.run, pose_errors(report)
-    worst = np.flatnonzero(errors == np.nanmax(errors))[:1] if np.isfinite(errors).any() else None
-    rows = shown_rows(len(run.trajectory), worst)
+    worst = [int(np.nanargmax(errors))] if _some(errors) else []
+    rows = shown_rows(len(run.trajectory), np.array(worst, dtype=np.intp))
     shown = run.trajectory.select(rows)
     heading = _continuous(shown.poses)
     sigmas = _sigmas(run.records.estimates, shown)

@@ -78,6 +78,7 @@ def test_bars_show_every_name_and_whiskers_only_where_known():
 def test_a_column_comes_back_as_it_was_rounded():
     values = np.array([1.23456, math.nan, -3.0, -2.99949, math.inf])
     assert column(values, 3) == {"scale": 1000, "steps": [1235, None, -4235, 1, None]}
+    assert column(np.array([1e300, -1e300, 1.0]), 0)["steps"] == [None, None, 1]
     assert column(np.array([math.nan]), 2) == {"scale": 100, "steps": [None]}
 
 
@@ -85,4 +86,4 @@ def test_a_long_path_is_thinned_but_keeps_what_must_not_miss():
     rows = shown_rows(3 * MOST_POINTS, np.array([7]))
     assert len(rows) == MOST_POINTS + 1
     assert {0, 7, 3 * MOST_POINTS - 1} <= set(rows.tolist())
-    assert shown_rows(5).tolist() == [0, 1, 2, 3, 4]
+    assert shown_rows(5, np.array([4])).tolist() == [0, 1, 2, 3, 4]

@@ -4,7 +4,8 @@
 /** The values at the kth pose of a run, in words. */
 function factsOf(run) {
   const {path, keyframes} = run;
-  const value = (name, k, digits, unit) => path[name] ? figure(path[name][k], digits, unit) : null;
+  const value = (name, k, digits, unit) =>
+    path[name] ? figure(path[name][k], digits, unit) : null;
   return k => {
     const latest = keyframes.t ? lastUpTo(keyframes.t, path.t[k]) : -1;
     const since = latest >= 0 ? path.t[k] - keyframes.t[latest] : 0;
@@ -17,15 +18,31 @@ function factsOf(run) {
       ["sigma", value("sigma", k, 4, " m")],
       ["sigma of heading", value("sigma_heading", k, 3, "°")],
       ["speed", value("speed", k, 2, " m/s")],
-      ["keyframe", latest < 0 ? null : since < 0.0005 ? `${latest}` : `${latest}, ${figure(since, 1, " s")} ago`],
+      [
+        "keyframe",
+        latest < 0
+          ? null
+          : since < 0.0005
+            ? `${latest}`
+            : `${latest}, ${figure(since, 1, " s")} ago`,
+      ],
       ["taken because of", latest < 0 ? null : keyframes.reasons[keyframes.reason[latest]] || null],
-      ["T_PE", latest < 0 || keyframes.t_pe[latest] === null ? null : figure(keyframes.t_pe[latest], 3)],
+      [
+        "T_PE",
+        latest < 0 || keyframes.t_pe[latest] === null ? null : figure(keyframes.t_pe[latest], 3),
+      ],
     ];
   };
 }
 
 function prepare(run) {
-  const made = {...run, path: decodeAll(run.path), keyframes: decodeAll(run.keyframes), closures: decodeAll(run.closures), drawings: []};
+  const made = {
+    ...run,
+    path: decodeAll(run.path),
+    keyframes: decodeAll(run.keyframes),
+    closures: decodeAll(run.closures),
+    drawings: [],
+  };
   made.facts = factsOf(made);
   made.show = k => made.drawings.forEach(drawing => drawing.show?.(k));
   return made;
@@ -33,14 +50,18 @@ function prepare(run) {
 
 function linkTable(table, run, drawing, place) {
   for (const row of table.querySelectorAll("tr[data-closure]")) {
-    const open = () => { drawing.closures.open(Number(row.dataset.closure)); place.scrollIntoView({block: "nearest"}); };
+    const open = () => {
+      drawing.closures.open(Number(row.dataset.closure));
+      place.scrollIntoView({block: "nearest"});
+    };
     row.cells[0].prepend(element("button", {type: "button", onclick: open}, "show"), " ");
   }
 }
 
 async function start() {
   const {runs: packed} = await unpack(document.getElementById("data").textContent);
-  const runs = packed.map(prepare), drawings = [];
+  const runs = packed.map(prepare),
+    drawings = [];
   for (const place of document.querySelectorAll("[data-map]")) {
     const run = runs[place.dataset.map];
     const drawing = run ? drawRunMap(place, run) : drawAllPaths(place, runs);
@@ -51,7 +72,8 @@ async function start() {
     if (table) linkTable(table, run, drawing, place.parentElement);
   }
   for (const host of document.querySelectorAll("[data-chart]")) {
-    const run = runs[host.dataset.run], drawing = drawChart(host, run.charts[host.dataset.chart], run);
+    const run = runs[host.dataset.run],
+      drawing = drawChart(host, run.charts[host.dataset.chart], run);
     drawings.push(drawing);
     if (drawing.show) run.drawings.push(drawing);
   }
@@ -74,4 +96,8 @@ async function start() {
   document.documentElement.dataset.ready = "true";
 }
 
-start();
+start().catch(error => {
+  const words = `Map and charts cannot be drawn in this browser: ${error.message}`;
+  document.querySelector("nav").after(element("p", {className: "warnings"}, words));
+  throw error;
+});
