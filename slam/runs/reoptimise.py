@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,8 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     tamed = sum(a is not b for a, b in zip(edges, graph.edges, strict=True))
     maker = FactorMaker(config)
     result = optimise(graph.poses, edges, maker)
+    poses = _held(graph.poses, result.poses, graph.fixed or 0)
+    result = replace(result, poses=poses)
     with new_run(out) as partial:
         # A g2o file has no times: a second a vertex.  Ids may be too large to count seconds.
         stamps = np.arange(len(graph.ids)) * 1_000_000_000
@@ -75,8 +77,18 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
         _write_graph(partial, edges, result, maker)
         summary = _summary(source.name, edges, result, settings)
         summary |= {"edges_tamed": tamed, "lines_skipped": graph.skipped}
+        summary["lost"] = dict(graph.left_out)
         write_summary(partial, summary)
     return summary
+
+
+def _held(
+    before: NDArray[np.float64], after: NDArray[np.float64], fixed: int
+) -> NDArray[np.float64]:
+    """Return the poses, (n, 3), moved as one so that a vertex is where it was before."""
+    if fixed == 0:  # the one that is held anyway
+        return after
+    return compose(before[fixed], between(after[fixed], after))
 
 
 def _reoptimise_run(source: Path, out: Path, settings: SlamConfig) -> dict[str, Any]:
