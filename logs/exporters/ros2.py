@@ -41,6 +41,9 @@ from slam.logs.messages import (
 )
 from slam.logs.schemas import topic_of
 
+METADATA_VERSION = 8
+"""Of metadata.yaml: 9 writes QoS as a list with words, which Humble cannot read; all read 8."""
+
 _STAMP_LIMIT = 2**31 * 10**9  # ROS 2 counts seconds in 32 bits
 _STATIC = ("/tf_static", "/map", "/path")
 _TYPES = {
@@ -89,7 +92,9 @@ def write_ros2(path: Path | str, received: Iterable[tuple[int | None, Message]])
     store = get_typestore(Stores.ROS2_HUMBLE)
     try:
         shutil.rmtree(partial, ignore_errors=True)
-        with Writer(partial / path.name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        with Writer(
+            partial / path.name, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP
+        ) as writer:
             bag = _Bag(writer, store)
             for receipt_ns, message in received:
                 bag.take(receipt_ns, message)
