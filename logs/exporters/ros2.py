@@ -4,11 +4,11 @@
 | --- | --- | --- |
 | LaserScan | /scan | sensor_msgs/LaserScan, frame `laser` |
 | WheelOdometry | /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage `odom` -> `base_link` |
-| LaserMount | /tf_static | tf2_msgs/TFMessage `base_link` -> `laser` |
+| LaserExtrinsics | /tf_static | tf2_msgs/TFMessage `base_link` -> `laser` |
 | PoseEstimate | /pose, /tf | PoseWithCovarianceStamped, TFMessage `map` -> `odom` |
 | all PoseEstimates | /path | nav_msgs/Path, once at the end |
 | OccupancyMap | /map | nav_msgs/OccupancyGrid |
-| TruePose | /truth | nav_msgs/Odometry, frame `world` |
+| TruePose | /truth, /tf_static | nav_msgs/Odometry, frame `world`; of a RUN `map` -> `world` |
 | LogLine | /rosout | rcl_interfaces/Log |
 | DeviceHealth | /diagnostics | diagnostic_msgs/DiagnosticArray |
 
@@ -120,6 +120,7 @@ class _Bag:
         self._writer, self._store, self._types = writer, store, store.types
         self._connections: dict[str, Any] = {}
         self._odometry: WheelOdometry | None = None
+        self._truth: TruePose | None = None
         self._estimates: list[PoseEstimate] = []
         self._last_scan_ns = self._last_receipt_ns = 0
 
@@ -142,6 +143,7 @@ class _Bag:
             step = ros.transform(types, message.stamp_ns, "odom", "base_link", at)
             self._write("/tf", receipt, step)
         elif isinstance(message, TruePose):
+            self._truth = message
             self._write("/truth", receipt, ros.odometry(types, message))
         elif isinstance(message, LaserExtrinsics):
             self._write("/tf_static", receipt, ros.extrinsics(types, message))
@@ -159,6 +161,11 @@ class _Bag:
     def _take_estimate(self, receipt: int, message: PoseEstimate) -> None:
         self._estimates.append(message)
         self._write("/pose", receipt, ros.estimate(self._types, message))
+        if self._truth is not None and len(self._estimates) == 1:
+            # Viewers put the truth into the map by this: it is laid on the first pose.
+            at = _correction(message, self._truth)
+            world = ros.transform(self._types, message.stamp_ns, "map", "world", at)
+            self._write("/tf_static", receipt, world)
         if self._odometry is not None:
             at = _correction(message, self._odometry)
             correction = ros.transform(self._types, message.stamp_ns, "map", "odom", at)
@@ -179,8 +186,8 @@ class _Bag:
         self.written[topic] += 1
 
 
-def _correction(estimate: PoseEstimate, odometry: WheelOdometry) -> ros.Pose:
-    """Return map_T_base * inverse(odom_T_base), of the odometry last seen."""
+def _correction(estimate: PoseEstimate, odometry: WheelOdometry | TruePose) -> ros.Pose:
+    """Return map_T_base * inverse(odom_T_base), of the odometry (or truth) last seen."""
     theta = math.remainder(estimate.theta - odometry.theta, math.tau)
     c, s = math.cos(theta), math.sin(theta)
     x = estimate.x - (c * odometry.x - s * odometry.y)
