@@ -148,7 +148,9 @@ class Log:
     def described(self, channel_id: int) -> tuple[records.Channel, records.Schema | None] | None:
         """Return a channel as the file describes it, with its schema; None if it does not."""
         channel = self._summary.channels.get(channel_id)
-        return channel and (channel, self._summary.schemas.get(channel.schema_id))
+        if channel is None:
+            return None
+        return channel, self._summary.schemas.get(channel.schema_id)
 
     @property
     def has_summary(self) -> bool:

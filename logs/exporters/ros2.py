@@ -24,7 +24,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from slam.logs.errors import LogError
 from slam.logs.exporters import ros2_messages as ros
@@ -41,7 +41,7 @@ from slam.logs.messages import (
 )
 from slam.logs.schemas import topic_of
 
-METADATA_VERSION = 8
+METADATA_VERSION: Literal[8] = 8
 """Of metadata.yaml: 9 writes QoS as a list with words, which Humble cannot read; all read 8."""
 
 _STAMP_LIMIT = 2**31 * 10**9  # ROS 2 counts seconds in 32 bits

@@ -72,7 +72,7 @@ def _stores_for(channel: Channel) -> list[Any]:
         store = get_typestore(Stores.EMPTY)
         # A definition may leave out the types within it, which are standard ones here.
         store.register(_closed(channel.kind, {**standard.fielddefs, **types}))
-    except (*_damage(), RecursionError):
+    except _damage():
         return [standard]
     return [store, standard] if channel.kind in types else [standard]
 
@@ -120,4 +120,5 @@ def _damage() -> tuple[type[Exception], ...]:
     return (
         *(SerdeError, TypesysError, OSError, ValueError, LookupError, AssertionError),
         *(TypeError, AttributeError, EOFError, struct.error, OverflowError, MemoryError),
+        RecursionError,
     )
