@@ -1,13 +1,16 @@
-"""Pose graphs as g2o text: written with all digits, read leniently but checked.
+"""Pose graphs as text: g2o is written with all digits, g2o and TORO are read and checked.
 
-GTSAM's own writer keeps about six digits, which is not enough to repeat a run.
+GTSAM's own writer keeps about six digits, which is not enough to repeat a run.  TORO's files
+(`VERTEX2`, `EDGE2`) hold the information as xx xy yy tt xt yt, g2o's as xx xy xt yy yt tt;
+some programs wrote TORO's words with g2o's order, which shows where the first is no matrix.
 """
 
 from __future__ import annotations
 
 import gzip
 import zlib
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +26,30 @@ class G2oGraph:
     ids: NDArray[np.int64]  # (n,) as in the file
     poses: Matrix  # (n, 3) [x, y, theta]: m, m, rad
     edges: list[Edge]  # between consecutive ids "odometry", all others "loop"
-    skipped: int  # lines of a kind that is not understood
+    left_out: Counter[str] = field(default_factory=Counter)  # lines that are not used, by kind
+    fixed: int | None = None  # index of the vertex that the file holds fast, None: none
+
+    @property
+    def skipped(self) -> int:
+        """Lines that are not used."""
+        return sum(self.left_out.values())
+
+
+_VERTICES = ("VERTEX_SE2", "VERTEX2")
+_EDGES = ("EDGE_SE2", "EDGE2")
+_TORO_ORDER = (0, 1, 3, 5, 2, 4)  # places of xx xy yy tt xt yt among xx xy xt yy yt tt
+_REORDERED = "EDGE2 lines whose information is in g2o's order, not TORO's"
 
 
 def write_g2o(path: Path, poses: Matrix, edges: list[Edge], weights: list[Matrix]) -> None:
     """Write vertices (n, 3) and edges with their information (3, 3); deterministic bytes."""
     lines = [f"VERTEX_SE2 {k} {_join(pose)}" for k, pose in enumerate(poses)]
-    lines.append("FIX 0")
     for edge, weight in zip(edges, weights, strict=True):
         measured = (edge.i_T_j.x(), edge.i_T_j.y(), edge.i_T_j.theta())
         upper = weight[np.triu_indices(3)]
         lines.append(f"EDGE_SE2 {edge.i} {edge.j} {_join(measured)} {_join(upper)}")
+    # At the end: GTSAM's reader stops at the first line that it does not know.
+    lines.append("FIX 0")
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
@@ -42,28 +58,34 @@ def _join(numbers: object) -> str:
 
 
 def read_g2o(path: Path) -> G2oGraph:
-    """Read a 2D g2o file, plain or gzipped; other kinds of line are counted.
+    """Read a 2D g2o or TORO file, plain or gzipped; other kinds of line are counted.
 
     Raises:
         GraphError: unreadable, malformed, without vertices, or an edge to an unknown vertex.
     """
     vertices: dict[int, tuple[float, float, float]] = {}
     raw: list[tuple[int, tuple[int, int], list[float]]] = []
-    skipped = 0
+    left_out: Counter[str] = Counter()
+    fixed: list[int] = []
     for number, line in enumerate(_lines(path), start=1):
         fields = line.split()
-        if not fields or fields[0].startswith("#") or fields[0] == "FIX":
+        if not fields or fields[0].startswith("#"):
             continue
         try:
-            if fields[0] in ("VERTEX_SE2", "VERTEX2") and len(fields) == 5:
+            if fields[0] in _VERTICES and len(fields) == 5:
                 vertices[_id(fields[1])] = _pose(fields[2:])
-            elif fields[0] == "EDGE_SE2" and len(fields) == 12:
+            elif fields[0] in _EDGES and len(fields) == 12:
                 ends = _id(fields[1]), _id(fields[2])
-                raw.append((number, ends, [float(f) for f in fields[3:]]))
-            elif fields[0] in ("VERTEX_SE2", "VERTEX2", "EDGE_SE2"):
+                values = [float(f) for f in fields[3:]]
+                if fields[0] == "EDGE2":
+                    values = _from_toro(values, left_out)
+                raw.append((number, ends, values))
+            elif fields[0] in (*_VERTICES, *_EDGES):
                 raise GraphError(f"{fields[0]} with {len(fields) - 1} numbers")
+            elif fields[0] == "FIX":
+                fixed += [_id(text) for text in fields[1:]]
             else:
-                skipped += 1
+                left_out[f"{_shown(fields[0])} lines"] += 1
         except GraphError as error:
             raise GraphError(f"{path}:{number}: {error}") from error
         except ValueError as error:
@@ -73,7 +95,35 @@ def read_g2o(path: Path) -> G2oGraph:
     ids = np.array(sorted(vertices), dtype=np.int64)
     index = {int(key): k for k, key in enumerate(ids)}
     edges = [_edge(path, number, ends, values, index) for number, ends, values in raw]
-    return G2oGraph(ids, np.array([vertices[int(key)] for key in ids]), edges, skipped)
+    held = [index[key] for key in dict.fromkeys(fixed) if key in index]
+    if extra := len(set(fixed)) - 1 if held else len(set(fixed)):
+        left_out["FIX of a further or unknown vertex: one is held"] += extra
+    poses = np.array([vertices[int(key)] for key in ids])
+    return G2oGraph(ids, poses, edges, left_out, held[0] if held else None)
+
+
+def _from_toro(values: list[float], left_out: Counter[str]) -> list[float]:
+    """Return x, y, theta and the information in g2o's order."""
+    pose, stated = values[:3], values[3:]
+    reordered = [0.0] * 6
+    for value, place in zip(stated, _TORO_ORDER, strict=True):
+        reordered[place] = value
+    if not _is_matrix(reordered) and _is_matrix(stated):
+        left_out[_REORDERED] += 1
+        return values
+    return pose + reordered
+
+
+def _is_matrix(upper: list[float]) -> bool:
+    """Whether six numbers, row by row from the diagonal on, are a positive definite matrix."""
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = upper
+    matrix += np.triu(matrix, 1).T
+    return bool(np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0)
+
+
+def _shown(word: str) -> str:
+    return word[:40] if word.isprintable() else ascii(word[:40])
 
 
 def _lines(path: Path) -> list[str]:

@@ -25,6 +25,7 @@ class OdometryCheck:
         self._farthest = (0.0, 0)  # m, stamp
         self._widest_rad = 0.0
         self._path_m = self._path_rad = 0.0
+        self._asked = 0.0  # of the path, m or rad, when it was last asked for
 
     def feed(self, odometry: WheelOdometry) -> None:
         """Take in one message."""
@@ -46,6 +47,12 @@ class OdometryCheck:
             self._jumps += 1
             self._farthest = max(self._farthest, (step_m, odometry.stamp_ns))
             self._widest_rad = max(self._widest_rad, step_rad)
+
+    def moved(self) -> float:
+        """Return how far it moved since this was last called (m, or rad if more)."""
+        moved = max(self._path_m, self._path_rad)
+        since, self._asked = moved - self._asked, moved
+        return since
 
     def feed_scan(self, stamp_ns: int) -> None:
         """Take in a scan's stamp."""
@@ -69,7 +76,7 @@ class OdometryCheck:
         if self._jumps:
             yield Finding(
                 "warning", "odometry-jump", "/odom",
-                f"{self._jumps} jumps no robot could drive, up to {self._farthest[0]:.2f} m and "
+                f"{self._jumps} jumps no robot could drive, up to {_metres(self._farthest[0])} and "
                 f"{math.degrees(self._widest_rad):.0f} deg",
                 self._jumps, self._farthest[1],
             )  # fmt: skip
@@ -83,6 +90,10 @@ class OdometryCheck:
                 f"{self._alone} of {self._scans} scans have no odometry within "
                 f"{seconds(ALONE_S)} before them", self._alone,
             )  # fmt: skip
+
+
+def _metres(value: float) -> str:
+    return f"{value:.2f} m" if value < 1e4 else f"{value:.3g} m"
 
 
 class MountCheck:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from slam.logs.findings import Finding, Severity
+from slam.logs.check_geometry import GeometryCheck
+from slam.logs.findings import Finding, Severity, seconds
 from slam.logs.messages import LaserScan
+from slam.logs.sampled import Sampled
 
 NAN_SHARE = 0.5  # of all beams: more of them unusable is a defect or a wrong import
 BLIND_SHARE = 0.05  # of beams that bring something back; below it a scan is blind
 FROZEN_SCANS = 5  # so many equal scans in a row: noise alone makes that impossible
-TWO_LASERS_SHARE = 0.1  # of the scans have another geometry than the one before
-_GEOMETRIES = 16
-
-_Geometry = tuple[int, int, int]  # beams, start in 0.01 rad, step in 1e-5 rad
+STANDS = 0.05  # m or rad by the odometry: a robot that moved less may see the same again
+_SAMPLES = 256  # enough for a median
+SWEEP_SHARE = 0.2  # of the time between scans: a sweep of a shorter time is stated wrongly
 
 
 class ScanCheck:
@@ -25,15 +25,28 @@ class ScanCheck:
     def __init__(self, topic: str = "/scan") -> None:
         self.topic = topic
         self._scans = self._beams = self._nan = self._far = self._near = 0
-        self._blind = self._impossible = self._changes = self._beam_changes = 0
+        self._blind = self._impossible = 0
         self._frozen = self._run = 0
         self._first: dict[str, int] = {}  # stamp of the first case of each kind
-        self._geometries: Counter[_Geometry] = Counter()
-        self._last: tuple[_Geometry, bytes] | None = None
+        self._geometry = GeometryCheck(topic)
+        self._last = b""
+        self._last_stamp_ns = 0
+        self._standing = 0  # scans that repeat while the robot stands, or while nobody knows
+        self._moved: float | None = None  # m or rad since the run of equal scans began
+        self._periods, self._sweeps = Sampled(_SAMPLES), Sampled(_SAMPLES)
+
+    def feed_motion(self, amount: float) -> None:
+        """Take in how far the odometry moved since it was last asked (m, or rad if more)."""
+        self._moved = (self._moved or 0.0) + amount
 
     def feed(self, scan: LaserScan) -> None:
         """Take in one scan."""
         self._scans += 1
+        if self._last_stamp_ns:
+            self._periods.add((scan.stamp_ns - self._last_stamp_ns) * 1e-9)
+        if scan.beam_period_s > 0:
+            self._sweeps.add(scan.beam_period_s * len(scan.ranges))
+        self._last_stamp_ns = scan.stamp_ns
         self._judge_geometry(scan)
         self._judge_ranges(scan)
 
@@ -45,21 +58,21 @@ class ScanCheck:
             self._impossible += 1
             self._first.setdefault("impossible", scan.stamp_ns)
             return
-        geometry = n, round(scan.angle_min * 100), round(scan.angle_step * 1e5)
+        self._geometry.feed(scan)
         ranges = scan.ranges.tobytes()
-        if self._last is not None:
-            last, before = self._last
-            self._changes += geometry != last
-            self._beam_changes += n != last[0]
-            if n != last[0]:
-                self._first.setdefault("beams", scan.stamp_ns)
-            self._run = self._run + 1 if ranges == before and _sees(scan) else 0
-            if self._run >= FROZEN_SCANS:
+        if ranges == self._last and _sees(scan):
+            self._run += 1
+        else:
+            self._run = 0
+            self._moved = self._moved and 0.0
+        if self._run >= FROZEN_SCANS:
+            if (self._moved or 0.0) > STANDS:
                 self._frozen += 1
                 self._first.setdefault("frozen", scan.stamp_ns)
-        if geometry in self._geometries or len(self._geometries) < _GEOMETRIES:
-            self._geometries[geometry] += 1
-        self._last = geometry, ranges
+            else:
+                self._standing += 1
+                self._first.setdefault("standing", scan.stamp_ns)
+        self._last = ranges
 
     def _judge_ranges(self, scan: LaserScan) -> None:
         ranges = scan.ranges
@@ -87,18 +100,13 @@ class ScanCheck:
                 "error", "scan-geometry", "impossible", self._impossible,
                 "scans have impossible angles or span more than a turn",
             )  # fmt: skip
-        often = self._changes > max(1, TWO_LASERS_SHARE * self._scans)
-        if often and len(self._geometries) < _GEOMETRIES:
+        yield from self._geometry.findings()
+        sweep_s, period_s = self._sweeps.median, self._periods.median
+        if sweep_s < SWEEP_SHARE * period_s:
             yield Finding(
-                "error", "two-lasers", self.topic,
-                f"the scans change between {len(self._geometries)} geometries {self._changes} "
-                "times: two lasers share this channel; record or import one of them",
-                self._changes,
-            )  # fmt: skip
-        elif self._beam_changes:
-            yield self._finding(
-                "warning", "beam-count", "beams", self._beam_changes,
-                "changes of the number of beams",
+                "warning", "scan-time", self.topic,
+                f"by its time from beam to beam a scan takes {seconds(sweep_s)}, but they come "
+                f"every {seconds(period_s)}: what is corrected for motion is corrected too little",
             )  # fmt: skip
 
     def _range_findings(self) -> Iterator[Finding]:
@@ -112,6 +120,16 @@ class ScanCheck:
             yield self._finding(
                 "error", "frozen-scans", "frozen", self._frozen,
                 f"scans repeat the {FROZEN_SCANS} before them exactly: the laser is stuck",
+            )  # fmt: skip
+        if self._standing:
+            known = self._moved is not None
+            yield self._finding(
+                "note" if known else "warning", "still-scans", "standing", self._standing,
+                f"scans repeat the {FROZEN_SCANS} before them exactly"
+                + (
+                    " while the robot stands: a simulator without noise" if known
+                    else ": the laser is stuck, or a simulated robot stands"
+                ),
             )  # fmt: skip
         for count, code, what in (
             (self._nan, "ranges-nan", "are unusable (nan)"),

@@ -15,10 +15,13 @@ MINUTES_S = 60.0  # after such a gap the robot may stand somewhere else
 DRIFT_PPM = 100.0  # crystals are good to 50 ppm; 100 ppm are 0.36 s in an hour
 DRIFT_LEAST_S = 60.0  # no drift is judged over less time
 LATE_S = 0.5
-EARLY_S = 0.001
+EARLY_S = 0.01  # by less a scan at full speed is a centimetre off
 STEP_S = 0.25  # of the clock, between two windows
+APART_S = 2.0  # clocks of laser and robot farther apart give no odometry at a scan
+NOTABLE_APART_S = 0.25  # at 0.5 m/s a scan is taken 12 cm from where it was
 SLOW_SCAN_HZ = 1.0
 
+_SAMPLES = 256  # enough for a median
 _WINDOWS = 1024  # kept at most; their width doubles when there are more
 _WINDOW_S = 1.0
 
@@ -83,8 +86,8 @@ class StampCheck:
         if self._before_2000 == timing.messages:
             yield Finding(
                 "note", "clock-unset", self.topic,
-                "every stamp is before the year 2000: the clock was not set, "
-                "which does no harm while it runs evenly",
+                "every stamp is before the year 2000: simulated time, or a clock that was not "
+                "set, which does no harm while it runs evenly",
                 self._before_2000, timing.first_ns,
             )  # fmt: skip
         elif self._before_2000:
@@ -109,11 +112,13 @@ class ReceiptCheck:
         self._window_s = _WINDOW_S
         self._origin_ns: int | None = None
         self._least: dict[int, float] = {}  # s, by number of the window
+        self._simulated = False  # stamps of a simulation beside receipts of today
 
     def feed(self, receipt_ns: int, stamp_ns: int) -> None:
         """Take in one message's times."""
         if self._origin_ns is None:
             self._origin_ns = receipt_ns
+        self._simulated = stamp_ns < YEAR_2000_NS <= receipt_ns
         delay_s = (receipt_ns - stamp_ns) * 1e-9
         self._delays.add(delay_s)
         window = int((receipt_ns - self._origin_ns) * 1e-9 // self._window_s)
@@ -130,7 +135,11 @@ class ReceiptCheck:
     def drift_ppm(self) -> float:
         """Return how much faster the receiving clock runs; nan if too little is known."""
         windows = np.array(sorted(self._least), dtype=np.float64)
-        if len(windows) < 3 or (windows[-1] - windows[0]) * self._window_s < DRIFT_LEAST_S:
+        if (
+            self._simulated
+            or len(windows) < 3
+            or (windows[-1] - windows[0]) * self._window_s < DRIFT_LEAST_S
+        ):
             return math.nan
         delays = np.array([self._least[int(w)] for w in windows])
         centred = windows - windows.mean()
@@ -139,7 +148,7 @@ class ReceiptCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd; nothing for a log without times of receipt of its own."""
-        if self._delays.least == self._delays.most == 0.0:
+        if self._delays.least == self._delays.most == 0.0 or self._simulated:
             return
         steps = [
             abs(self._least[b] - self._least[a])
@@ -170,3 +179,32 @@ class ReceiptCheck:
                 f"messages are received up to {seconds(-self._delays.least)} before their stamp: "
                 "the clocks do not agree",
             )  # fmt: skip
+
+
+class ClocksCheck:
+    """Whether laser and robot were stamped by clocks that agree, judged by times of receipt."""
+
+    def __init__(self) -> None:
+        self._apart = Sampled(_SAMPLES)  # s by which the odometry's clock is ahead
+        self._odometry: tuple[int, int] | None = None  # receipt, stamp of the last
+
+    def feed_odometry(self, receipt_ns: int, stamp_ns: int) -> None:
+        """Take in one odometry message's times."""
+        self._odometry = receipt_ns, stamp_ns
+
+    def feed_scan(self, receipt_ns: int, stamp_ns: int) -> None:
+        """Take in one scan's times."""
+        if self._odometry is not None:
+            receipt, stamp = self._odometry
+            self._apart.add(((stamp - stamp_ns) - (receipt - receipt_ns)) * 1e-9)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield what is odd; nothing where times of receipt were not logged."""
+        apart = self._apart.median
+        if not abs(apart) > NOTABLE_APART_S:
+            return
+        yield Finding(
+            "error" if abs(apart) > APART_S else "warning", "clocks-apart", "/odom",
+            f"clocks of /scan and /odom differ by {abs(apart):.4g} s, judged by the times of "
+            "receipt: set them, or import the recording with --use-receipt-time",
+        )  # fmt: skip

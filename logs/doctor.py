@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 from slam.logs.check_motion import MountCheck, OdometryCheck
 from slam.logs.check_scans import ScanCheck
-from slam.logs.check_time import ReceiptCheck, StampCheck
+from slam.logs.check_time import ClocksCheck, ReceiptCheck, StampCheck
 from slam.logs.errors import shown
 from slam.logs.findings import SEVERITIES, Finding, Severity
 from slam.logs.info import recording_losses
@@ -77,6 +77,7 @@ class Examination:
         self._stamps = {topic: StampCheck(topic) for topic in _STAMPED}
         self._receipts = {topic: ReceiptCheck(topic) for topic in _STAMPED}
         self._scans, self._odometry, self._extrinsics = ScanCheck(), OdometryCheck(), MountCheck()
+        self._clocks = ClocksCheck()
 
     def feed(self, receipt_ns: int, message: Message) -> None:
         """Take in one message and its time of receipt."""
@@ -87,14 +88,17 @@ class Examination:
         if isinstance(message, LaserScan):
             self._scans.feed(message)
             self._odometry.feed_scan(message.stamp_ns)
+            self._clocks.feed_scan(receipt_ns, message.stamp_ns)
         elif isinstance(message, WheelOdometry):
             self._odometry.feed(message)
+            self._scans.feed_motion(self._odometry.moved())
+            self._clocks.feed_odometry(receipt_ns, message.stamp_ns)
         elif isinstance(message, LaserExtrinsics):
             self._extrinsics.feed(message)
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd, check after check."""
-        for check in (self._scans, self._odometry, self._extrinsics):
+        for check in (self._scans, self._odometry, self._extrinsics, self._clocks):
             yield from check.findings()
         for topic in _STAMPED:
             if not self._stamps[topic].empty:

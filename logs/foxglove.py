@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from slam.logs.messages import (
+    FrameTransform,
     LaserExtrinsics,
     LaserScan,
     LogLine,
@@ -143,6 +144,22 @@ def decode_pose(stamp_ns: int, data: bytes) -> PoseEstimate:
     return PoseEstimate(stamp_ns, *pose, covariance, read.slam.lost)
 
 
+class ForViewersError(ValueError):
+    """A transform that says nothing new: it is there for viewers, and readers pass over it."""
+
+
+VIEWER_FRAMES = (("map", "odom"), ("odom", "base"), ("map", "world"))
+"""Parent and child of the transforms that a RUN's log holds beside the mount."""
+
+
+def encode_tf(message: LaserExtrinsics | FrameTransform) -> bytes:
+    """Encode the mount, or a transform for viewers."""
+    if isinstance(message, LaserExtrinsics):
+        return encode_mount(message)
+    pose = message.x, message.y, message.theta
+    return encode_transform(message.stamp_ns, message.parent, message.child, *pose)
+
+
 def encode_mount(message: LaserExtrinsics) -> bytes:
     """Encode `base_T_laser` as a transform of the tree that viewers keep."""
     return encode_transform(message.stamp_ns, "base", "laser", message.x, message.y, message.theta)
@@ -151,7 +168,7 @@ def encode_mount(message: LaserExtrinsics) -> bytes:
 def encode_transform(
     stamp_ns: int, parent: str, child: str, x: float, y: float, theta: float
 ) -> bytes:
-    """Encode `parent_T_child`; of these our logs hold the mount alone."""
+    """Encode `parent_T_child`."""
     out = _Transform(parent_frame_id=parent, child_frame_id=child)
     _set_time(out.timestamp, stamp_ns)
     out.translation.x, out.translation.y = x, y
@@ -164,7 +181,10 @@ def encode_transform(
 def decode_mount(stamp_ns: int, data: bytes) -> LaserExtrinsics:
     """Decode `base_T_laser`; another program's transform between other frames is refused."""
     read = _Transform.FromString(data)
-    if (read.parent_frame_id, read.child_frame_id) != ("base", "laser"):
+    frames = read.parent_frame_id, read.child_frame_id
+    if frames in VIEWER_FRAMES:
+        raise ForViewersError(f"{frames[0]} -> {frames[1]} is for viewers")
+    if frames != ("base", "laser"):
         raise ValueError("a transform of other frames than base and laser")
     theta = read.slam.theta if read.HasField("slam") else _heading(read.rotation)
     return LaserExtrinsics(stamp_ns, read.translation.x, read.translation.y, theta)

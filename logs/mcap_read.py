@@ -19,6 +19,7 @@ from typing import IO, Self
 from mcap import records
 from mcap.opcode import Opcode
 from slam.logs.attachments import Attachment, is_plain_name
+from slam.logs.foxglove import ForViewersError
 from slam.logs.mcap_chunk import Inner, RawMessage, inner_records, message_of, unpack_chunk
 from slam.logs.mcap_file import (
     MAGIC,
@@ -64,6 +65,8 @@ class Log:
                 continue
             try:
                 message = decode(topic, raw.publish_time, raw.data)
+            except ForViewersError:
+                continue
             except ValueError as error:
                 self.skipped[f"{topic}: {error}"] += 1
                 continue

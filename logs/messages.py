@@ -152,6 +152,18 @@ class OccupancyMap:
 
 
 @dataclass(frozen=True, slots=True)
+class FrameTransform:
+    """`parent_T_child` for viewers alone, which hang scans and maps on it; never read back."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    x: float  # m
+    y: float  # m
+    theta: float  # rad
+
+
+@dataclass(frozen=True, slots=True)
 class LogLine:
     """Something that happened, in words: a device came, was lost, is back."""
 
@@ -173,6 +185,8 @@ class DeviceHealth:
 
 
 SensorMessage = LaserScan | WheelOdometry | LaserExtrinsics | TruePose | RawBytes
-ResultMessage = PoseEstimate | KeyframeDecision | FactorRecord | LoopResult | OccupancyMap
+ResultMessage = (
+    PoseEstimate | KeyframeDecision | FactorRecord | LoopResult | OccupancyMap | FrameTransform
+)
 StatusMessage = LogLine | DeviceHealth
 Message = SensorMessage | ResultMessage | StatusMessage

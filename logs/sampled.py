@@ -14,7 +14,9 @@ class Sampled:
     give equal results.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int = _LIMIT) -> None:
+        """Keep fewer than `limit` numbers, an even one."""
+        self._limit = limit
         self.count = 0
         self.least, self.most = math.inf, -math.inf
         self._kept: list[float] = []
@@ -23,7 +25,7 @@ class Sampled:
     def add(self, value: float) -> None:
         """Take in one number."""
         if self.count % self._stride == 0:
-            if len(self._kept) == _LIMIT:
+            if len(self._kept) == self._limit:
                 del self._kept[1::2]
                 self._stride *= 2
             if self.count % self._stride == 0:

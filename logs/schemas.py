@@ -15,6 +15,7 @@ from slam.logs import foxglove, protos
 from slam.logs.messages import (
     DeviceHealth,
     FactorRecord,
+    FrameTransform,
     KeyframeDecision,
     LaserExtrinsics,
     LaserScan,
@@ -123,7 +124,7 @@ _FLAWS = {"FactorRecord": _factor_flaw, "DeviceHealth": _health_flaw}
 _ALL = (
     Channel("/scan", "LaserScan", foxglove.encode_scan, foxglove.decode_scan),
     Channel("/odom", "Odometry", foxglove.encode_odometry, foxglove.decode_odometry),
-    Channel("/tf", "FrameTransform", foxglove.encode_mount, foxglove.decode_mount),
+    Channel("/tf", "FrameTransform", foxglove.encode_tf, foxglove.decode_mount),
     Channel("/truth", "Odometry", foxglove.encode_truth, foxglove.decode_truth),
     Channel("/pose", "Odometry", foxglove.encode_pose, foxglove.decode_pose),
     Channel("/map", "Grid", foxglove.encode_map, foxglove.decode_map),
@@ -145,6 +146,7 @@ _TOPICS: dict[type, str] = {
     LaserScan: "/scan",
     WheelOdometry: "/odom",
     LaserExtrinsics: "/tf",
+    FrameTransform: "/tf",
     TruePose: "/truth",
     PoseEstimate: "/pose",
     OccupancyMap: "/map",

@@ -65,14 +65,31 @@ def path_length(poses: Poses) -> NDArray[np.float64]:
     return np.concatenate([np.zeros(min(1, len(poses))), np.cumsum(steps)])
 
 
+class WrongUnit(ValueError):  # noqa: N818
+    """A stamp is far beyond any time in seconds: it counts something smaller."""
+
+
+_UNITS = ((1e17, "nanoseconds"), (1e14, "microseconds"), (1e11, "milliseconds"))
+"""What times since 1973 come to when they are counted in something else than seconds."""
+
+
 def parse_stamp(text: str) -> int:
     """Return decimal seconds as integer nanoseconds without passing through a float.
 
     Digits beyond the ninth are cut.
 
     Raises:
+        WrongUnit: it is beyond the year 2262, which nanoseconds in 64 bits cannot count.
         ValueError: if the text is not a decimal number.
     """
+    stamp = _stamp_of(text)
+    if abs(stamp) >= 2**63:
+        unit = next((f" ({name}?)" for least, name in _UNITS if abs(stamp) >= least * NS), "")
+        raise WrongUnit(f"stamp {text.strip()[:40]} is no time in seconds{unit}")
+    return stamp
+
+
+def _stamp_of(text: str) -> int:
     text = text.strip()
     negative = text.startswith("-")
     whole, _, fraction = text.lstrip("+-").partition(".")
@@ -117,7 +134,7 @@ def read_tum(path: Path) -> Trajectory:
         LogError: if the file cannot be read or a line is not a TUM pose.
     """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     stamps: list[int] = []
@@ -126,6 +143,8 @@ def read_tum(path: Path) -> Trajectory:
         if line.strip() and not line.lstrip().startswith("#"):
             try:
                 stamp, pose = _parse_tum_line(line)
+            except WrongUnit as error:
+                raise LogError(f"{path}:{number}: {error}") from error
             except ValueError as error:
                 raise LogError(f"{path}:{number}: not a TUM pose: {error}") from error
             stamps.append(stamp)

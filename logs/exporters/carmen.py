@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from slam.logs.errors import LogError
-from slam.logs.importers.carmen_lines import DECLARED_SHARE, NS, SENTINEL_M
+from slam.logs.importers.carmen_lines import DECLARED_SHARE, NS, SENTINEL_M, SICK_BEAMS
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 from slam.logs.partial import PartialFile
 
@@ -94,7 +94,7 @@ def _scan_line(scan: LaserScan, laser: _Pose, robot: _Pose) -> str:
 def _is_flaser(scan: LaserScan) -> bool:
     n = len(scan.ranges)
     return (
-        n > 1
+        1 < n <= SICK_BEAMS
         and scan.angle_min == -math.pi / 2
         and scan.angle_step == math.pi / (n - n % 2)
         and scan.range_max == SENTINEL_M

@@ -4,11 +4,11 @@
 | --- | --- | --- |
 | LaserScan | /scan | sensor_msgs/LaserScan, frame `laser` |
 | WheelOdometry | /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage `odom` -> `base_link` |
-| LaserMount | /tf_static | tf2_msgs/TFMessage `base_link` -> `laser` |
+| LaserExtrinsics | /tf_static | tf2_msgs/TFMessage `base_link` -> `laser` |
 | PoseEstimate | /pose, /tf | PoseWithCovarianceStamped, TFMessage `map` -> `odom` |
 | all PoseEstimates | /path | nav_msgs/Path, once at the end |
 | OccupancyMap | /map | nav_msgs/OccupancyGrid |
-| TruePose | /truth | nav_msgs/Odometry, frame `world` |
+| TruePose | /truth, /tf_static | nav_msgs/Odometry, frame `world`; of a RUN `map` -> `world` |
 | LogLine | /rosout | rcl_interfaces/Log |
 | DeviceHealth | /diagnostics | diagnostic_msgs/DiagnosticArray |
 
@@ -24,7 +24,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from slam.logs.errors import LogError
 from slam.logs.exporters import ros2_messages as ros
@@ -40,6 +40,9 @@ from slam.logs.messages import (
     WheelOdometry,
 )
 from slam.logs.schemas import topic_of
+
+METADATA_VERSION: Literal[8] = 8
+"""Of metadata.yaml: 9 writes QoS as a list with words, which Humble cannot read; all read 8."""
 
 _STAMP_LIMIT = 2**31 * 10**9  # ROS 2 counts seconds in 32 bits
 _STATIC = ("/tf_static", "/map", "/path")
@@ -89,7 +92,9 @@ def write_ros2(path: Path | str, received: Iterable[tuple[int | None, Message]])
     store = get_typestore(Stores.ROS2_HUMBLE)
     try:
         shutil.rmtree(partial, ignore_errors=True)
-        with Writer(partial / path.name, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        with Writer(
+            partial / path.name, version=METADATA_VERSION, storage_plugin=StoragePlugin.MCAP
+        ) as writer:
             bag = _Bag(writer, store)
             for receipt_ns, message in received:
                 bag.take(receipt_ns, message)
@@ -115,6 +120,7 @@ class _Bag:
         self._writer, self._store, self._types = writer, store, store.types
         self._connections: dict[str, Any] = {}
         self._odometry: WheelOdometry | None = None
+        self._truth: TruePose | None = None
         self._estimates: list[PoseEstimate] = []
         self._last_scan_ns = self._last_receipt_ns = 0
 
@@ -137,6 +143,7 @@ class _Bag:
             step = ros.transform(types, message.stamp_ns, "odom", "base_link", at)
             self._write("/tf", receipt, step)
         elif isinstance(message, TruePose):
+            self._truth = message
             self._write("/truth", receipt, ros.odometry(types, message))
         elif isinstance(message, LaserExtrinsics):
             self._write("/tf_static", receipt, ros.extrinsics(types, message))
@@ -154,6 +161,11 @@ class _Bag:
     def _take_estimate(self, receipt: int, message: PoseEstimate) -> None:
         self._estimates.append(message)
         self._write("/pose", receipt, ros.estimate(self._types, message))
+        if self._truth is not None and len(self._estimates) == 1:
+            # Viewers put the truth into the map by this: it is laid on the first pose.
+            at = _correction(message, self._truth)
+            world = ros.transform(self._types, message.stamp_ns, "map", "world", at)
+            self._write("/tf_static", receipt, world)
         if self._odometry is not None:
             at = _correction(message, self._odometry)
             correction = ros.transform(self._types, message.stamp_ns, "map", "odom", at)
@@ -174,8 +186,8 @@ class _Bag:
         self.written[topic] += 1
 
 
-def _correction(estimate: PoseEstimate, odometry: WheelOdometry) -> ros.Pose:
-    """Return map_T_base * inverse(odom_T_base), of the odometry last seen."""
+def _correction(estimate: PoseEstimate, odometry: WheelOdometry | TruePose) -> ros.Pose:
+    """Return map_T_base * inverse(odom_T_base), of the odometry (or truth) last seen."""
     theta = math.remainder(estimate.theta - odometry.theta, math.tau)
     c, s = math.cos(theta), math.sin(theta)
     x = estimate.x - (c * odometry.x - s * odometry.y)

@@ -19,6 +19,7 @@ import numpy as np
 from slam.logs.errors import LogError
 from slam.logs.importers.imported import ImportedLog, Reading, as_messages, in_stamp_order
 from slam.logs.importers.text_lines import lines
+from slam.logs.importers.wishes import Wishes
 from slam.logs.messages import LaserScan, WheelOdometry
 
 BEAMS = 682
@@ -33,27 +34,91 @@ _STEP_RAD = math.tau / 1024  # URG-04LX: 1024 steps a turn, the beams are steps 
 _FIRST_BEAM_RAD = (44 - 384) * _STEP_RAD  # step 384 looks ahead
 _BEAM_PERIOD_S = 0.1 / 1024
 _RANGE_MIN_M, _RANGE_MAX_M = 0.02, 5.6
+_LEAST_BEAMS = 100  # of a laser of any kind
 _MARGIN = 70
 """Beams at either end that see the rover itself (BreezySLAM's detection margin)."""
 
 
-def read_breezyslam(path: Path | str) -> ImportedLog:
+_NO_WISHES = Wishes()
+
+
+def read_breezyslam(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog:
     """Read a BreezySLAM log into messages in stamp order.
 
-    A range of 0 is inf; 1 to 19 mm, the sensor's error codes, and the margins are nan.
+    A range of 0 is inf; 1 to 19 mm, the sensor's error codes, and the margins are nan.  The
+    scans of another robot are read where their field of view is given; its wheels are not
+    known and left out.
 
     Raises:
-        LogError: if the file cannot be read or holds no usable line.
+        LogError: if the file cannot be read, holds no usable line, or is of another robot.
     """
     path = Path(path)
     skipped: Counter[str] = Counter()
     changed: Counter[str] = Counter()
-    readings = in_stamp_order(_readings(path, skipped), changed)
+    beams = _beams(path)
+    notes = []
+    if beams not in (0, BEAMS):
+        if not wishes.view_deg:
+            raise LogError(
+                f"{path}: looks like BreezySLAM with {beams} ranges: only the rover's {BEAMS} are "
+                "known; say --fov DEGREES to read the scans alone"
+            )
+        notes.append(f"{beams} ranges over {wishes.view_deg:g} deg, no odometry: laser alone")
+        read, mount = _other_readings(path, beams, wishes.view_deg, skipped), (0.0, 0.0, 0.0)
+    else:
+        read, mount = _readings(path, skipped), (_LASER_AHEAD_M, 0.0, 0.0)
+    try:
+        readings = in_stamp_order(read, changed, skipped, wishes)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
     if not readings:
         raise LogError(f"{path}: holds no line of {FIELDS} whole numbers: is it a BreezySLAM log?")
-    return ImportedLog(
-        "BreezySLAM", as_messages(readings, (_LASER_AHEAD_M, 0.0, 0.0)), skipped, changed
-    )
+    messages = as_messages(readings, mount, wishes)
+    return ImportedLog("BreezySLAM", messages, skipped, changed, notes=notes)
+
+
+def looks_like_breezyslam(fields: list[bytes]) -> bool:
+    """Whether a line may be a scan of BreezySLAM: whole numbers, a time, and many ranges."""
+    few = len(fields) < FIRST_RANGE + _LEAST_BEAMS
+    return not few and all(field.lstrip(b"-").isdigit() for field in fields)
+
+
+def _beams(path: Path) -> int:
+    """Return the number of ranges in the first line, 0 if it is empty.
+
+    All known loggers write one value more behind them; a file of a round number has none.
+    """
+    for line in lines(path, Counter()):
+        if fields := line.split():
+            if len(fields) == FIELDS:
+                return BEAMS
+            n = len(fields) - FIRST_RANGE
+            return n if n % 10 == 0 else n - 1
+    return 0
+
+
+def _other_readings(
+    path: Path, beams: int, view_deg: float, skipped: Counter[str]
+) -> Iterator[Reading]:
+    view = math.radians(view_deg)
+    step = view / (beams if view_deg == 360.0 else beams - 1)
+    for line in lines(path, skipped):
+        fields = line.split()
+        if not fields:
+            continue
+        try:
+            stamp_us = int(fields[0])
+            ranges_mm = np.array(list(map(int, fields[FIRST_RANGE:][:beams])), dtype=np.float64)
+        except (ValueError, OverflowError):
+            skipped["a field is not a whole number"] += 1
+            continue
+        if len(ranges_mm) != beams or not 0 <= stamp_us < 2**53:
+            skipped["wrong number of fields"] += 1
+            continue
+        ranges = ranges_mm / 1000.0
+        ranges[ranges_mm == 0] = np.inf
+        ranges[ranges_mm < 0] = np.nan
+        yield Reading(scan=LaserScan(stamp_us * 1000, -view / 2, step, ranges.astype(np.float32)))
 
 
 def _readings(path: Path, skipped: Counter[str]) -> Iterator[Reading]:

@@ -30,6 +30,7 @@ DECLARED_SHARE = 0.998
 """
 
 BEAMS_LIMIT = 10_000
+WIDE = "more beams than a SICK has, and no field of view: say --fov DEGREES"
 
 NS = 1_000_000_000  # in a second
 _LATEST_S = 2**33  # the year 2242; nanoseconds beyond 2262 do not fit 64 bits
@@ -41,12 +42,16 @@ class LineError(Exception):
     """A line cannot be used; the message is a short cause, for counting."""
 
 
+SICK_BEAMS = 361
+"""No SICK that FLASER lines were made for has more beams in its half turn."""
+
+
 class LaserLine(NamedTuple):
-    """A FLASER or ROBOTLASER1 line."""
+    """A FLASER, ROBOTLASER1 or RAWLASER1 line."""
 
     scan: LaserScan
-    laser: _PoseTriple  # odom_T_laser, m and rad
-    robot: _PoseTriple  # odom_T_base
+    laser: _PoseTriple | None  # odom_T_laser, m and rad; None in RAWLASER1
+    robot: _PoseTriple | None  # odom_T_base
     repaired: int  # beams that were negative, zero or no numbers
 
 
@@ -57,24 +62,26 @@ class Reach:
     declared: float = math.nan
 
 
-def flaser(fields: list[bytes], reach: Reach) -> LaserLine:
+def flaser(fields: list[bytes], reach: Reach, view_deg: float = 0.0) -> LaserLine:
     """Read `FLASER n r... laser_pose robot_pose stamp host logger_stamp`.
 
     Such a line says nothing of angles.  It comes from a SICK that looks half a turn wide,
     from -90 degrees on: an even number of beams leaves out the last one (180 beams in steps
-    of 1 degree, 360 of 0.5), an odd number has both ends (181, 361).
+    of 1 degree, 360 of 0.5), an odd number has both ends (181, 361).  Where another field of
+    view is given (deg), it takes the place of the half turn.
 
     Raises:
-        LineError: if it cannot be used.
+        LineError: if it cannot be used; with more beams than a SICK has, the view must be given.
     """
     n = _beam_count(fields, 1)
     if len(fields) != n + 11:
         raise LineError("wrong number of fields for its beams")
-    step = math.pi / (n if n % 2 == 0 else n - 1)
+    if n > SICK_BEAMS and not view_deg:
+        raise LineError(WIDE)
+    view = math.radians(view_deg) if view_deg else math.pi
+    step = view / (n if n % 2 == 0 else n - 1)
     ranges, repaired = _ranges(fields[2 : 2 + n], reach.declared)
-    scan = LaserScan(
-        _stamp(fields[-3]), -math.pi / 2, step, ranges, range_max=_limit(reach.declared)
-    )
+    scan = LaserScan(_stamp(fields[-3]), -view / 2, step, ranges, range_max=_limit(reach.declared))
     return LaserLine(scan, *_poses(fields[2 + n : 8 + n]), repaired)
 
 
@@ -88,13 +95,31 @@ def robotlaser(fields: list[bytes], reach: Reach) -> LaserLine:
     Raises:
         LineError: if it cannot be used.
     """
+    scan, repaired, poses = _described(fields, reach, behind=14)
+    return LaserLine(scan, *_poses(fields[poses : poses + 6]), repaired)
+
+
+def rawlaser(fields: list[bytes], reach: Reach) -> LaserLine:
+    """Read `RAWLASER1 ...`, as ROBOTLASER1 without the poses and what follows them.
+
+    Raises:
+        LineError: if it cannot be used.
+    """
+    scan, repaired, _ = _described(fields, reach, behind=3)
+    return LaserLine(scan, None, None, repaired)
+
+
+def _described(fields: list[bytes], reach: Reach, behind: int) -> tuple[LaserScan, int, int]:
+    """Read a line that describes its geometry; `behind` fields follow the remissions.
+
+    Returns the scan, how many ranges had to become nan, and where those fields begin.
+    """
     n = _beam_count(fields, 8, least=1)
     after = 9 + n
     if len(fields) <= after:
         raise LineError("wrong number of fields for its beams")
-    remissions = _beam_count(fields, after, least=0)
-    poses = after + 1 + remissions
-    if len(fields) != poses + 14:
+    poses = after + 1 + _beam_count(fields, after, least=0)
+    if len(fields) != poses + behind:
         raise LineError("wrong number of fields for its beams")
     start, _, step, declared = _numbers(fields[2:6])
     if not (math.isfinite(start) and math.isfinite(step) and step):
@@ -103,7 +128,7 @@ def robotlaser(fields: list[bytes], reach: Reach) -> LaserLine:
         declared = reach.declared
     ranges, repaired = _ranges(fields[9:after], declared)
     scan = LaserScan(_stamp(fields[-3]), start, step, ranges, range_max=_limit(declared))
-    return LaserLine(scan, *_poses(fields[poses : poses + 6]), repaired)
+    return scan, repaired, poses
 
 
 def odometry(fields: list[bytes]) -> tuple[int, _PoseTriple]:

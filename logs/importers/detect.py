@@ -7,24 +7,31 @@ from itertools import islice
 from pathlib import Path
 
 from slam.logs.errors import LogError
-from slam.logs.importers import g2o_scans
+from slam.logs.importers import aria, g2o_scans
 from slam.logs.importers.bag.files import is_bag
 from slam.logs.importers.bag.mcap import channel_of, open_mcap, require_ros
-from slam.logs.importers.breezyslam import FIELDS, read_breezyslam
+from slam.logs.importers.breezyslam import looks_like_breezyslam, read_breezyslam
 from slam.logs.importers.carmen import KINDS, read_carmen
 from slam.logs.importers.g2o_scans import read_g2o_scans
 from slam.logs.importers.imported import ImportedLog, StreamedLog
 from slam.logs.importers.rosbag import read_rosbag
 from slam.logs.importers.text_lines import lines
 from slam.logs.importers.wishes import Wishes
+from slam.logs.importers.ydlidar import looks_like_ydlidar, read_ydlidar
 from slam.logs.mcap_file import MAGIC
 from slam.logs.mcap_open import is_ours
 
 SUPPORTED = (
-    "CARMEN (.clf, .log) and BreezySLAM (.dat) logs, plain or gzipped, ROS 1 bags, ROS 2 bags "
-    "(folder, .mcap, .db3), and g2o graphs with ROBOTLASER1 lines (plain, .gz, .zip)"
+    "logs of CARMEN (.clf, .log), BreezySLAM (.dat) and ARIA (.2d), YDLidar text, ROS 1 bags, "
+    "ROS 2 bags (folder, .mcap, .db3), and g2o graphs with ROBOTLASER1 lines; texts plain or "
+    "gzipped"
 )
 
+_FIELDS = 12_000  # of a line, at most: twice the beams of any laser
+_MRPT_CLASSES = (
+    *(b"CActionCollection", b"CSensoryFrame", b"CObservation2DRangeScan", b"CObservationOdometry"),
+    *(b"CObservationComment", b"CRawlog"),
+)
 _LINES_LOOKED_AT = 2000  # CARMEN logs may begin with hundreds of PARAM lines or comments
 _OURS = "{}: is an MCAP log already: use it with `slam replay`"
 _NO_WISHES = Wishes()
@@ -45,9 +52,23 @@ def read_any(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog | Str
         if asked := wishes.for_bags_only():
             raise LogError(f"{path}: is no ROS recording: leave {' and '.join(asked)} out")
         if start.startswith(g2o_scans.ZIP_MAGIC):
-            return read_g2o_scans(path)
+            return _read_graph(path, wishes)
         return _read_text(path, wishes)
     return read_rosbag(path, wishes)
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether a file or folder is none of our logs, as far as its beginning tells."""
+    if path.is_dir():
+        return True
+    start = _start_of(path)
+    if not start.startswith(MAGIC[:6]):
+        return bool(start)  # what cannot be opened is for whoever opens it
+    try:
+        _require_foreign(path)
+    except LogError:
+        return False
+    return True
 
 
 def _require_foreign(path: Path) -> None:
@@ -76,13 +97,44 @@ def _start_of(path: Path) -> bytes:
 
 def _read_text(path: Path, wishes: Wishes) -> ImportedLog:
     for line in islice(lines(path, Counter()), _LINES_LOOKED_AT):
-        fields = line.split(maxsplit=FIELDS)
-        if not fields or fields[0].startswith(b"#"):
+        fields = line.split(maxsplit=_FIELDS)
+        if not fields:
+            continue
+        if fields[0] == aria.FIRST_WORD:
+            return aria.read_aria(path, wishes)
+        if fields[0].startswith(b"#"):
             continue
         if fields[0] in g2o_scans.KINDS:
-            return read_g2o_scans(path)
+            return _read_graph(path, wishes)
         if fields[0] in KINDS:
-            return read_carmen(path)
-        if len(fields) == FIELDS and fields[0].isdigit():
-            return read_breezyslam(path)
+            return read_carmen(path, wishes)
+        if looks_like_breezyslam(fields):
+            return read_breezyslam(path, wishes)
+        if looks_like_ydlidar(line):
+            return read_ydlidar(path, wishes)
+    if named := _named(path):
+        raise LogError(f"{path}: is {named}")
     raise LogError(f"{path}: is no log of a known kind: {SUPPORTED} can be imported")
+
+
+def _read_graph(path: Path, wishes: Wishes) -> ImportedLog:
+    if wishes != _NO_WISHES:
+        raise LogError(f"{path}: is a graph with scans, which is read as it is: leave options out")
+    return read_g2o_scans(path)
+
+
+def _named(path: Path) -> str:
+    """Return what a file is that cannot be read, and the way round, empty if nobody knows."""
+    start = b"".join(islice(lines(path, Counter()), 3))[:4096]
+    if any(name in start for name in _MRPT_CLASSES):
+        return (
+            "a rawlog of MRPT, which cannot be read: `rawlog-edit --export-2d-scans-txt` and "
+            "`--export-odometry-txt` of MRPT write its scans and odometry as text"
+        )
+    if start.startswith((b"VERTEX_SE3", b"VERTEX3", b"EDGE_SE3", b"EDGE3")):
+        return "a pose graph in space without scans, which cannot be mapped"
+    if start.startswith((b"VERTEX2", b"EDGE2", b"VERTEX ", b"EDGE ")):
+        return "a pose graph without scans: `slam reoptimise` solves it"
+    if start.startswith((b"## Player", b"# Player")):
+        return "a log of Player, which cannot be read: its own `playervcr` plays it"
+    return ""

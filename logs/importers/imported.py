@@ -7,6 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+from slam.logs.importers.bag.clocks import Stamped
+from slam.logs.importers.drives import pick_drive
+from slam.logs.importers.wishes import Wishes, check_span
 from slam.logs.messages import LaserExtrinsics, LaserScan, SensorMessage, WheelOdometry
 
 
@@ -52,35 +56,61 @@ class StreamedLog:
 class Reading:
     """One line of a log: a scan, where the odometry put the robot then, or both."""
 
-    odometry: WheelOdometry
+    odometry: WheelOdometry | None = None
     scan: LaserScan | None = None
 
+    @property
+    def stamp_ns(self) -> int:
+        """When it was measured; scan and odometry of one reading have the same stamp."""
+        message = self.odometry or self.scan
+        assert message is not None
+        return message.stamp_ns
 
-def in_stamp_order(readings: Iterable[Reading], changed: Counter[str]) -> list[Reading]:
-    """Return the readings ordered by stamp, those of one stamp in file order.
+
+_NO_WISHES = Wishes()
+
+
+def in_stamp_order(
+    readings: Iterable[Reading],
+    changed: Counter[str],
+    skipped: Counter[str] | None = None,
+    wishes: Wishes = _NO_WISHES,
+) -> list[Reading]:
+    """Return the readings of one drive ordered by stamp, those of one stamp in file order.
 
     Counts the steps that run backwards in the file, and stamps that occur again.
+
+    Raises:
+        LogError: there are several drives (see `drives`) and none is asked for.
     """
     listed = list(readings)
-    stamps = [reading.odometry.stamp_ns for reading in listed]
-    backwards = sum(b < a for a, b in pairwise(stamps))
+    check_span(wishes)
+    if listed:
+        stamps = np.array([reading.stamp_ns for reading in listed], dtype=np.int64)
+        whole = Stamped(stamps, np.ones(len(listed), dtype=np.bool_))
+        lost: Counter[str] = Counter() if skipped is None else skipped
+        (keep,) = pick_drive([("scans", whole)], wishes, lost, changed)
+        listed = [listed[row] for row in np.flatnonzero(keep).tolist()]
+    backwards = sum(b.stamp_ns < a.stamp_ns for a, b in pairwise(listed))
     if backwards:
         changed["stamps that ran backwards, put in order"] += backwards
-    scan_stamps = [r.odometry.stamp_ns for r in listed if r.scan is not None]
+    scan_stamps = [r.stamp_ns for r in listed if r.scan is not None]
     if again := len(scan_stamps) - len(set(scan_stamps)):
         changed["scans with the stamp of another, kept"] += again
-    return sorted(listed, key=lambda reading: reading.odometry.stamp_ns)
+    # Of one stamp, odometry that comes in a line of its own goes before the scan.
+    return sorted(listed, key=lambda reading: (reading.stamp_ns, reading.odometry is None))
 
 
 def as_messages(
-    readings: Sequence[Reading], base_T_laser: tuple[float, float, float]
+    readings: Sequence[Reading],
+    base_T_laser: tuple[float, float, float],
+    wishes: Wishes = _NO_WISHES,
 ) -> list[SensorMessage]:
-    """Return the mount, then each reading's odometry and scan."""
+    """Return the mount, the one asked for if any, then each reading's odometry and scan."""
     if not readings:
         return []
-    messages: list[SensorMessage] = [LaserExtrinsics(readings[0].odometry.stamp_ns, *base_T_laser)]
+    mount = wishes.mount or base_T_laser
+    messages: list[SensorMessage] = [LaserExtrinsics(readings[0].stamp_ns, *mount)]
     for reading in readings:
-        messages.append(reading.odometry)
-        if reading.scan is not None:
-            messages.append(reading.scan)
+        messages += [m for m in (reading.odometry, reading.scan) if m is not None]
     return messages

@@ -27,7 +27,8 @@ class Wishes:
     def for_bags_only(self) -> list[str]:
         """Name the options given that only ROS recordings can follow."""
         asked = (
-            ("--scan", self.scan), ("--odom", self.odometry), ("--base", self.base),
+            ("--scan", self.scan), ("--base", self.base),
+            ("--odom", self.odometry),
             ("--use-receipt-time", self.receipt_time),
         )  # fmt: skip
         return [option for option, given in asked if given]

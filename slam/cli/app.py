@@ -153,6 +153,7 @@ def reoptimise(
         f"error {summary['error_before']:.4g} -> {summary['error_after']:.4g}, "
         f"{loops['rejected']} of {loops['candidates']} loops refused"
     )
+    exit_on_loss(summary.get("lost", {}), "left out")
 
 
 def demo(

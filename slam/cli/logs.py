@@ -120,7 +120,11 @@ def import_(
 
 
 def info(log: LogArgument) -> None:
-    """Describe a log: channels, rates, gaps, losses, identity."""
+    """Describe a log: channels, rates, gaps, losses, identity.
+
+    Of a recording of other programs: topics, types, rates and frames, and what an import of it
+    would choose.
+    """
     from slam.tools.inspect import describe_log
 
     typer.echo(describe_log(log))

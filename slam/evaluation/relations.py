@@ -65,7 +65,7 @@ def read_relations(path: Path) -> Relations:
         ReportError: if the file cannot be read, a line is malformed, or there is none.
     """
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise ReportError(f"{path}: cannot be read: {error.strerror}") from error
     times: list[tuple[int, int]] = []

@@ -69,6 +69,7 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
     tamed = sum(a is not b for a, b in zip(edges, graph.edges, strict=True))
     maker = FactorMaker(config)
     final = finalise(graph.poses, edges, maker)
+    final = replace(final, poses=_held(graph.poses, final.poses, graph.fixed or 0))
     with new_run(out) as partial:
         # A g2o file has no times: a second a vertex.  Ids may be too large to count seconds.
         stamps = np.arange(len(graph.ids)) * 1_000_000_000
@@ -77,8 +78,18 @@ def _reoptimise_g2o(source: Path, out: Path, settings: SlamConfig) -> dict[str, 
         write_g2o(partial / "graph.g2o", final.poses, final.edges, final.informations)
         summary = _summary(source.name, final, settings)
         summary |= {"edges_tamed": tamed, "lines_skipped": graph.skipped}
+        summary["lost"] = dict(graph.left_out)
         write_summary(partial, summary)
     return summary
+
+
+def _held(
+    before: NDArray[np.float64], after: NDArray[np.float64], fixed: int
+) -> NDArray[np.float64]:
+    """Return the poses, (n, 3), moved as one so that a vertex is where it was before."""
+    if fixed == 0:  # the one that is held anyway
+        return after
+    return compose(before[fixed], between(after[fixed], after))
 
 
 def _reoptimise_run(source: Path, out: Path, settings: SlamConfig) -> dict[str, Any]:

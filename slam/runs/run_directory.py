@@ -17,6 +17,7 @@ from slam.logs.trajectory import format_stamp, write_tum
 from slam.maps.nav2_map import write_map_png, write_nav2_map
 from slam.runs.errors import RunError
 from slam.runs.offline import Result
+from slam.runs.viewer_frames import maps_along_the_way, transforms
 
 
 class _TakenError(Exception):
@@ -126,7 +127,7 @@ def _write_decisions(log: LogWriter, result: Result) -> None:
     records, closure_results = result.slam.records, result.slam.loops.closure_results
     for group in (
         result.truth, records.decisions, records.factors, closure_results, result.estimates,
-        [result.grid],
+        transforms(result), maps_along_the_way(result),
     ):  # fmt: skip
         for message in group:
             log.write(message)

@@ -16,8 +16,10 @@ from slam.logs.atomic_write import atomic_write
 from slam.logs.doctor import Diagnosis, diagnose
 from slam.logs.errors import shown
 from slam.logs.findings import Severity, seconds
+from slam.logs.importers.detect import is_foreign
 from slam.logs.info import ChannelInfo, LogInfo, read_info
 from slam.runs.errors import RunError
+from slam.tools.foreign import describe_foreign
 
 _MOST = 50  # lines of a list that are shown
 _GAPS = 3  # of a channel, the longest
@@ -27,9 +29,13 @@ DOCTOR_CODES: Mapping[Severity | None, int] = {None: 0, "note": 0, "warning": 3,
 def describe_log(path: Path) -> str:
     """Channels with rates and gaps, losses, identity and attachments, as text.
 
+    A recording of other programs is described by what an import would find in it.
+
     Raises:
         LogError: the log cannot be read.
     """
+    if is_foreign(path):
+        return "\n".join(describe_foreign(path))
     return "\n".join(_lines(read_info(path)))
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 
+import gtsam
 import numpy as np
 import pytest
 from gtsam import Pose2
@@ -127,3 +128,65 @@ def test_what_is_no_text_is_refused(tmp_path):
             read_g2o(path)
     with pytest.raises(GraphError, match="cannot be read"):
         read_g2o(tmp_path / "missing.g2o")
+
+
+TORO = "VERTEX2 0 0 0 0\nVERTEX2 1 1.2 0.1 0\nVERTEX2 2 2.1 0.2 0\nVERTEX2 3 2.7 0.3 0\n" + "".join(
+    f"EDGE2 {k} {k + 1} 1 0 0 100 0 25 400 0 0\n" for k in range(3)
+)
+
+
+def test_toro_has_an_order_of_information_of_its_own(tmp_path):
+    (tmp_path / "toro.graph").write_text(TORO)
+    graph = read_g2o(tmp_path / "toro.graph")
+    assert len(graph.edges) == 3
+    assert graph.skipped == 0
+    np.testing.assert_array_equal(graph.edges[0].information, np.diag([100.0, 25.0, 400.0]))
+    (tmp_path / "full.graph").write_text(TORO + "EDGE2 0 2 2 0 0 100 1 25 400 2 3\n")
+    full = read_g2o(tmp_path / "full.graph").edges[-1].information
+    np.testing.assert_array_equal(full, [[100, 1, 2], [1, 25, 3], [2, 3, 400]])
+    (tmp_path / "g2o.graph").write_text(TORO.replace("100 0 25 400 0 0", "100 0 0 25 0 400"))
+    other = read_g2o(tmp_path / "g2o.graph")
+    np.testing.assert_array_equal(other.edges[0].information, np.diag([100.0, 25.0, 400.0]))
+    assert other.left_out.total() == 3
+
+
+def test_what_is_not_used_is_counted_by_kind(tmp_path):
+    lines = (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_XY 7 1 1\nEDGE_SE2_XY 0 7 1 1 1 0 1\n"
+        "EDGE_PRIOR_SE2 0 0 0 0 1 0 0 1 0 1\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nFIX 1 9\n"
+    )
+    (tmp_path / "a.g2o").write_text(lines)
+    graph = read_g2o(tmp_path / "a.g2o")
+    assert graph.left_out == {
+        "VERTEX_XY lines": 1, "EDGE_SE2_XY lines": 1, "EDGE_PRIOR_SE2 lines": 1,
+        "FIX of a further or unknown vertex: one is held": 1,
+    }  # fmt: skip
+    assert graph.fixed == 1
+
+
+@given(graphs())
+def test_gtsam_reads_the_same_graph_with_the_same_error(tmp_path_factory, graph):
+    poses, edges = graph
+    edges = [e for e in edges if abs(np.linalg.slogdet(e.information)[1]) < 40]  # gtsam inverts it
+    path = tmp_path_factory.mktemp("g2o") / "graph.g2o"
+    write_g2o(path, poses, edges, [edge.information for edge in edges])
+    factors, values = gtsam.readG2o(str(path), False)
+    assert factors.size() == len(edges)
+    assert values.size() == len(poses)
+    ours = gtsam.NonlinearFactorGraph()
+    for e in edges:
+        noise = gtsam.noiseModel.Gaussian.Information(e.information)
+        ours.add(gtsam.BetweenFactorPose2(e.i, e.j, e.i_T_j, noise))
+    expected = ours.error(values)
+    assert factors.error(values) == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_another_programs_reader_finds_every_vertex_and_edge(tmp_path):
+    load = pytest.importorskip("graphslam.load", reason="graphslam is not installed").load_g2o_se2
+    rng = np.random.default_rng(1)
+    poses = rng.normal(size=(5, 3))
+    edges = [Edge("odometry", k, k + 1, Pose2(1, 0, 0.1), np.diag([4.0, 3, 2])) for k in range(4)]
+    write_g2o(tmp_path / "a.g2o", poses, edges, [e.information for e in edges])
+    graph = load(str(tmp_path / "a.g2o"))
+    assert (len(graph._vertices), len(graph._edges)) == (5, 4)
+    np.testing.assert_allclose([v.pose.to_array() for v in graph._vertices], poses, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Small ROS recordings for tests: messages as (topic, kind, receipt, message), and files of them."""
+"""Small ROS recordings for tests: lists of messages with topic, kind and receipt, and files."""
 
 from __future__ import annotations
 
@@ -173,8 +173,8 @@ def write_bag1(path: Path, items: Iterable[Item], compression: str = "") -> Path
 
 def write_mcap(
     path: Path, items: Iterable[Item], *, profile: str = "ros2", ros1: bool = False,
-    schemas: dict[str, tuple[str, bytes]] | None = None, foreign: Sequence[tuple[str, str, bytes]] = (),
-    **options: Any,
+    schemas: dict[str, tuple[str, bytes]] | None = None,
+    foreign: Sequence[tuple[str, str, bytes]] = (), **options: Any,
 ) -> Path:  # fmt: skip
     """Write an MCAP file; `schemas` gives encoding and text by topic, else the true ones.
 

@@ -219,3 +219,100 @@ def test_memory_does_not_grow_with_the_log(n: int):
         return used
 
     assert peak(5 * n) < 1.5 * peak(n) + 300_000
+
+
+def beams(counts: Iterable[int], step=None, **fields) -> list[Message]:
+    """A drive whose scans have these numbers of beams over a whole turn."""
+    messages: list[Message] = [LaserExtrinsics(START, 0.1, 0.0, 0.0)]
+    for k, n in enumerate(counts):
+        stamp = START + k * S // 10
+        ranges = np.random.default_rng(k).uniform(1, 9, n).astype(np.float32)
+        messages += [
+            odometry(stamp, 0.05 * k),
+            LaserScan(stamp, -np.pi, step or 2 * np.pi / n, ranges, **fields),
+        ]
+    return messages
+
+
+@pytest.mark.parametrize(("low", "high"), [(455, 456), (453, 457), (413, 1000)])
+@pytest.mark.parametrize("step", [None, 2 * np.pi / 455])
+def test_a_laser_whose_number_of_beams_varies_is_one_laser(low: int, high: int, step):
+    if high == 1000 and step:
+        return  # a constant step of so many beams is more than a turn
+    counts = np.random.default_rng(2).integers(low, high + 1, 300)
+    found = codes(beams(counts, step))
+    assert found.keys() == {"beam-count"}
+    assert found["beam-count"][0] == "warning"
+
+
+def test_two_lasers_that_take_turns_are_still_two():
+    messages = drive()
+    apart = [
+        scan(m.stamp_ns, 90, start=-1.57 + 0.5 * (k % 4 > 1)) if isinstance(m, LaserScan) else m
+        for k, m in enumerate(messages)
+    ]
+    assert codes(apart)["two-lasers"][0] == "error"
+
+
+def test_equal_scans_are_a_stuck_laser_only_where_the_robot_moves():
+    messages = drive()
+    same = messages[2].ranges
+
+    def frozen(first: int, last: int, moving: bool) -> list[Message]:
+        made = []
+        for k, m in enumerate(messages):
+            if isinstance(m, LaserScan) and first <= k < last:
+                m = LaserScan(m.stamp_ns, m.angle_min, m.angle_step, same)
+            elif isinstance(m, WheelOdometry) and not moving and k < last:
+                m = odometry(m.stamp_ns, messages[last - 1 - last % 2].x)
+            made.append(m)
+        return made
+
+    assert codes(frozen(1, 41, moving=False)) == {"still-scans": ("note", 15)}
+    assert codes(frozen(1, 41, moving=True)) == {"frozen-scans": ("error", 15)}
+    alone = [m for m in frozen(1, 41, moving=True) if not isinstance(m, WheelOdometry)]
+    assert codes(alone)["still-scans"] == ("warning", 15)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_simulated_time_beside_receipts_of_today_is_one_note(factor: float):
+    examination = Examination()
+    for message in moved(drive(300), 0, S - START):
+        receipt = START + int((message.stamp_ns - S) / factor)
+        examination.feed(receipt, message)
+    found = {f.code: f for f in examination.findings()}
+    assert found.keys() == {"clock-unset"}
+    assert "simulated time" in found["clock-unset"].text
+    assert all(np.isnan(drift) for drift in examination.drift_ppm().values())
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "found"),
+    [(3600.0, {"clocks-apart": "error"}), (0.4, {"clocks-apart": "warning"}), (0.1, {})],
+)
+def test_clocks_of_laser_and_robot_apart(apart_s: float, found: dict[str, str]):
+    examination = Examination()
+    for message in drive():
+        own = isinstance(message, WheelOdometry)
+        late = odometry(message.stamp_ns - int(apart_s * S), message.x) if own else message
+        examination.feed(message.stamp_ns + 1000, late)
+    said = {f.code: f for f in examination.findings()}
+    assert {c: f.severity for c, f in said.items() if c == "clocks-apart"} == found
+    if apart_s == 3600.0:
+        assert "differ by 3600 s" in said["clocks-apart"].text
+
+
+def test_a_jump_beyond_all_sense_is_told_in_few_digits():
+    wild = [*drive(), odometry(START + 20 * S, 1e256), odometry(START + 21 * S)]
+    examination = Examination()
+    for message in wild:
+        examination.feed(message.stamp_ns, message)
+    (jump,) = [f for f in examination.findings() if f.code == "odometry-jump"]
+    assert "1e+256 m" in jump.text
+    assert len(jump.text) < 100
+
+
+def test_a_time_from_beam_to_beam_that_cannot_be():
+    sound = {"beam_period_s": 0.1 / 360}
+    assert codes(beams([360] * 50, **sound)) == {}
+    assert codes(beams([360] * 50, beam_period_s=3e-5)) == {"scan-time": ("warning", 1)}

@@ -74,7 +74,7 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
     run = a_run()
     export = write_ros2(tmp_path / "bag", received(run))
     assert export.written == {
-        "/scan": 20, "/odom": 20, "/truth": 20, "/tf": 40, "/tf_static": 1, "/pose": 20,
+        "/scan": 20, "/odom": 20, "/truth": 20, "/tf": 40, "/tf_static": 2, "/pose": 20,
         "/map": 1, "/path": 1, "/rosout": 1, "/diagnostics": 1,
     }  # fmt: skip
     assert export.skipped == {"/factor: has no standard type in ROS": 1}
@@ -112,6 +112,8 @@ def test_every_message_of_the_export_is_read_back_by_rosbags(tmp_path: Path):
             durability = connection.ext.offered_qos_profiles[0].durability.name
             static = connection.topic in ("/tf_static", "/map", "/path")
             assert durability == ("TRANSIENT_LOCAL" if static else "VOLATILE")
+        world = reader.deserialize(got["/tf_static"].pop(), "tf2_msgs/msg/TFMessage").transforms[0]
+        assert (world.header.frame_id, world.child_frame_id) == ("map", "world")
         for topic, messages in wanted.items():
             kinds = {c.topic: c.msgtype for c in reader.connections}
             assert got[topic] == [

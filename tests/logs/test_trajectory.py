@@ -117,3 +117,26 @@ def test_a_trajectory_refuses_what_it_is_not():
         Trajectory(np.array([2, 1]), np.zeros((2, 3)))
     with pytest.raises(ValueError, match="needs"):
         Trajectory(np.array([1, 2]), np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("stamp", "unit"),
+    [
+        ("1311875572406161000", "nanoseconds"), ("1.3e18", "nanoseconds"),
+        ("1311875572406161", "microseconds"), ("1311875572406.161", "milliseconds"),
+        ("1311875572406", "milliseconds"),
+    ],
+)  # fmt: skip
+def test_a_stamp_in_another_unit_is_named(tmp_path, stamp, unit):
+    path = tmp_path / "ns.tum"
+    path.write_text(f"# t x y z\n{stamp} 0 0 0 0 0 0 1\n")
+    with pytest.raises(LogError) as caught:
+        read_tum(path)
+    said = f"{path}:2: stamp {stamp} is no time in seconds ({unit}?)"
+    assert str(caught.value) == said
+
+
+def test_a_mark_of_byte_order_is_no_part_of_the_first_number(tmp_path):
+    path = tmp_path / "bom.tum"
+    path.write_bytes(b"\xef\xbb\xbf1.5 1 2 0 0 0 0 1\n")
+    assert read_tum(path).stamps_ns.tolist() == [1_500_000_000]

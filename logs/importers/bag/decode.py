@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import struct
 from typing import Any
 
@@ -16,6 +17,21 @@ class MalformedError(Exception):
     """A message is not what its type says."""
 
 
+@functools.cache
+def _standard_stores() -> dict[str, Any]:
+    """Return the types that ROS comes with, by encoding; to make them takes half a second."""
+    try:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError as error:
+        raise LogError(
+            "reading ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
+        ) from error
+    ros1 = get_typestore(Stores.ROS1_NOETIC)
+    for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):  # rosbags has them for ROS 2
+        ros1.register(get_types_from_msg(_TRANSFORMS, kind))
+    return {"cdr": get_typestore(Stores.ROS2_HUMBLE), "ros1": ros1}
+
+
 class Decoder:
     """Deserialises messages; a channel whose definition is missing or bad gets the standard."""
 
@@ -25,20 +41,7 @@ class Decoder:
         Raises:
             LogError: rosbags is not installed.
         """
-        try:
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-        except ImportError as error:
-            raise LogError(
-                "reading ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
-            ) from error
-        self._new_store = lambda: get_typestore(Stores.EMPTY)
-        self._standard = {
-            "cdr": get_typestore(Stores.ROS2_HUMBLE),
-            "ros1": get_typestore(Stores.ROS1_NOETIC),
-        }
-        for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):  # rosbags has them for ROS 2
-            self._standard["ros1"].register(get_types_from_msg(_TRANSFORMS, kind))
-        self._stores: dict[Channel, list[Any]] = {}
+        _standard_stores()
 
     def __call__(self, channel: Channel, data: bytes) -> Any:
         """Return the message.
@@ -46,10 +49,7 @@ class Decoder:
         Raises:
             MalformedError: by no type at hand it can be read.
         """
-        stores = self._stores.get(channel)
-        if stores is None:
-            stores = self._stores[channel] = self._stores_for(channel)
-        for store in stores:
+        for store in _stores_for(channel):
             try:
                 if channel.encoding == "ros1":
                     return store.deserialize_ros1(data, channel.kind)
@@ -58,18 +58,23 @@ class Decoder:
                 continue
         raise MalformedError
 
-    def _stores_for(self, channel: Channel) -> list[Any]:
-        standard = self._standard[channel.encoding]
-        if not channel.definition:
-            return [standard]
-        try:
-            types = _parsed(channel)
-            store = self._new_store()
-            # A definition may leave out the types within it, which are standard ones here.
-            store.register(_closed(channel.kind, {**standard.fielddefs, **types}))
-        except (*_damage(), RecursionError):
-            return [standard]
-        return [store, standard] if channel.kind in types else [standard]
+
+@functools.lru_cache(maxsize=64)
+def _stores_for(channel: Channel) -> list[Any]:
+    """Return the types to try, best first; to make them takes a tenth of a second."""
+    from rosbags.typesys import Stores, get_typestore
+
+    standard = _standard_stores()[channel.encoding]
+    if not channel.definition:
+        return [standard]
+    try:
+        types = _parsed(channel)
+        store = get_typestore(Stores.EMPTY)
+        # A definition may leave out the types within it, which are standard ones here.
+        store.register(_closed(channel.kind, {**standard.fielddefs, **types}))
+    except _damage():
+        return [standard]
+    return [store, standard] if channel.kind in types else [standard]
 
 
 def _parsed(channel: Channel) -> dict[str, Any]:
@@ -115,4 +120,5 @@ def _damage() -> tuple[type[Exception], ...]:
     return (
         *(SerdeError, TypesysError, OSError, ValueError, LookupError, AssertionError),
         *(TypeError, AttributeError, EOFError, struct.error, OverflowError, MemoryError),
+        RecursionError,
     )

@@ -69,7 +69,7 @@ def read_truth(path: Path) -> Truth:
 
 def _guess_kind(path: Path) -> str:
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise ReportError(f"{path}: cannot be read: {error.strerror}") from error
     first = next((s for s in lines if s.strip() and not s.lstrip().startswith("#")), "")
@@ -84,7 +84,7 @@ def _guess_kind(path: Path) -> str:
 
 def _read_survey(path: Path) -> Trajectory:
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise ReportError(f"{path}: cannot be read: {error.strerror}") from error
     stamps: list[int] = []

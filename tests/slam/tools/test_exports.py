@@ -172,3 +172,82 @@ def test_a_log_is_not_imported_over_itself(drive, tmp_path):
     with pytest.raises(LogError, match="name another file"):
         import_log(tmp_path / "drive.log", tmp_path / "drive.log")
     assert (tmp_path / "drive.log").read_bytes() == before
+
+
+def planar(message):
+    """Frames and pose of a foxglove.FrameTransform, or of a TransformStamped."""
+    rotation = message.rotation
+    yaw = 2 * math.atan2(rotation.z, rotation.w)
+    return message.translation.x, message.translation.y, yaw
+
+
+def chained(a, b):
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2]
+
+
+def test_a_runs_log_puts_itself_together_in_a_viewer(run, drive):
+    """By an independent reader: frames from map to laser at every scan, maps on the way."""
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    trajectory = read_tum(run / "trajectory.tum")
+    mounts, links, frames, maps = [], {}, {}, []
+    with (run / "run.mcap").open("rb") as stream:
+        for _, channel, raw, message in make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            if channel.topic == "/tf":
+                names = message.parent_frame_id, message.child_frame_id
+                links[names, raw.publish_time] = planar(message)
+                mounts += [raw.publish_time] if names == ("base", "laser") else []
+            elif channel.topic == "/map":
+                maps.append(raw.publish_time)
+            if channel.topic in ("/scan", "/map", "/pose", "/truth", "/odom"):
+                frames[channel.topic] = message.frame_id
+    assert frames == {"/scan": "laser", "/map": "map", "/pose": "map", "/truth": "world"}
+    assert mounts[0] <= trajectory.stamps_ns[0]
+    for stamp, pose in zip(trajectory.stamps_ns.tolist(), trajectory.poses, strict=True):
+        odom, base = links[("map", "odom"), stamp], links[("odom", "base"), stamp]
+        assert chained(odom, base)[:2] == pytest.approx(pose[:2].tolist(), abs=1e-9)
+        assert math.remainder(sum((odom[2], base[2], -pose[2])), math.tau) == pytest.approx(0)
+    assert len(maps) == 4
+    assert len(set(maps)) == 4
+    first = next(m for m in drive if isinstance(m, TruePose))
+    world = links[("map", "world"), int(trajectory.stamps_ns[0])]
+    in_map = chained(world, (first.x, first.y, first.theta))
+    assert in_map[:2] == pytest.approx(trajectory.poses[0][:2].tolist(), abs=1e-6)
+    with open_log(run / "run.mcap") as log:  # our own readers pass over what is for viewers
+        assert sum(1 for _ in log.messages(("/tf",))) == 1
+        assert not log.skipped
+
+
+def test_gtsam_reads_a_runs_graph_with_all_its_factors(run):
+    import gtsam
+    from slam.backend.g2o import read_g2o
+
+    factors, values = gtsam.readG2o(str(run / "graph.g2o"), False)
+    ours = read_g2o(run / "graph.g2o")
+    assert factors.size() == len(ours.edges) > 0
+    assert values.size() == len(ours.poses)
+    graph = gtsam.NonlinearFactorGraph()
+    for edge in ours.edges:
+        noise = gtsam.noiseModel.Gaussian.Information(edge.information)
+        graph.add(gtsam.BetweenFactorPose2(edge.i, edge.j, edge.i_T_j, noise))
+    assert factors.error(values) == pytest.approx(graph.error(values), rel=1e-9)
+
+
+def test_metadata_of_a_bag_can_be_read_by_every_release_of_ros_2(log, tmp_path):
+    from ruamel.yaml import YAML
+
+    export(log, Targets(ros2=tmp_path / "bag"))
+    loaded = YAML(typ="safe").load((tmp_path / "bag" / "metadata.yaml").read_text())
+    about = loaded["rosbag2_bagfile_information"]
+    assert about["version"] <= 8
+    for topic in about["topics_with_message_count"]:
+        metadata = topic["topic_metadata"]
+        assert isinstance(metadata["offered_qos_profiles"], str)
+        (qos,) = YAML(typ="safe").load(metadata["offered_qos_profiles"])
+        static = metadata["name"] in ("/tf_static", "/map", "/path")
+        assert (qos["history"], qos["reliability"]) == (1, 1)
+        assert qos["durability"] == (1 if static else 2)
