@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,6 +26,14 @@ if TYPE_CHECKING:
 
 drivers_app = typer.Typer(help="What is connected to this machine.", no_args_is_help=True)
 _QUIET_S = 5.0  # s between progress lines where stderr is no terminal
+
+
+class _Expected(StrEnum):
+    """What a probe asks for."""
+
+    any = "any"
+    laser = "laser"
+    p3dx = "p3dx"
 
 
 def online(
@@ -76,14 +85,20 @@ def probe(
         typer.Argument(help="Serial devices, or tcp://host:port.", show_default=False),
     ],
     seconds: Annotated[float, typer.Option(min=0.2, help="How long to listen to each.")] = 1.5,
+    expect: Annotated[
+        _Expected, typer.Option(help="Ask for this device alone; any: for the laser first.")
+    ] = _Expected.any,
 ) -> None:
     """Say what is connected to each port, and what to do where something is wrong."""
+    from slam.drivers.probe import Kind
     from slam.drivers.probe import probe as ask
+
+    kinds: dict[str, tuple[Kind, ...]] = {"laser": ("laser",), "p3dx": ("p3dx",)}
 
     reports = []
     for port in ports:
         _say(f"{port}: asking ...")
-        report = ask(port, seconds)
+        report = ask(port, seconds, kinds.get(expect, ("laser", "p3dx")))
         reports.append(report)
         typer.echo(f"{port}: {report.title}")
         for name, value in report.facts:
@@ -97,7 +112,9 @@ def probe(
 @drivers_app.command()
 def simulate(
     world: Annotated[str, typer.Option(help="Where the robot is.")] = "office",
-    robot: Annotated[str, typer.Option(help="p3dx-sh or p3dx.")] = "p3dx-sh",
+    robot: Annotated[
+        str, typer.Option(help="p3dx-sh, p3dx-sh-lms1xx, p3dx-sh-lms500 or p3dx.")
+    ] = "p3dx-sh",
     laser: Annotated[
         str, typer.Option(help="utm-30lx, utm-30lx-ew, ust-10lx, ust-20lx or urg-04lx.")
     ] = "utm-30lx",

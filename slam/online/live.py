@@ -22,10 +22,15 @@ from slam.runs.errors import RunError
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import feed
 from slam.runs.replay import TimedStep
-from slam.runs.status import GOOD_LINKS, Status, device_losses
+from slam.runs.status import GOOD_LINKS, STALE_S, Status, device_losses
 
 _LOOK_S = 0.1  # how soon a request to stop is noticed
 _DISK_S = 0.5  # s between two looks at whether recording has ended
+_NOBODY = "answers on"  # in what a driver says of a port that opens, but stays silent
+_SWAPPED = (
+    "both ports open and neither device answers: are robot.port and laser.port swapped? "
+    "`slam drivers probe PORT` says which device is where"
+)
 _NOTE_S = 5.0  # between two notes of losses and devices in the log
 
 
@@ -67,6 +72,8 @@ class LiveRun:
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
         self._newest_ns = 0  # receipt of the newest scan that has been used
         self._robot_watch = RobotWatch()
+        self._closing = False  # whether the devices are not read any more
+        self._hinted = False  # that the ports may be swapped
         self._reasons: dict[str, str] = {}  # of links that are not good, and what devices say
         self._noted: dict[str, dict[str, str]] = {}  # metadata by its name
         self._noted_ns = self._told_ns = self._began_ns = self._looked_ns = 0
@@ -92,6 +99,7 @@ class LiveRun:
         finally:
             for reader in self.readers:
                 reader.stop()
+            self._closing = True
         self.cpu_share = (time.process_time() - cpu_s) / ((self._clock() - now) * 1e-9)
         while (received := self.intake.get(0.0)) is not None:
             self._use(received)
@@ -156,19 +164,25 @@ class LiveRun:
     def _status(self, now: int) -> Status:
         news = self._news()
         slam = self.slam
+        age_s = (now - (self._newest_scan_ns() or self._began_ns)) * 1e-9
+        stale = age_s > STALE_S
         decision = slam.records.decisions[-1] if slam and slam.records.decisions else None
         return Status(
             seconds=(now - self._began_ns) * 1e-9,
             links=dict(self._links),
             scan_hz=(self.intake.scans - self._told_scans) / ((now - self._told_ns) * 1e-9),
-            age_s=(now - (self._newest_scan_ns() or self._began_ns)) * 1e-9,
+            age_s=age_s,
             waiting=self.intake.waiting,
             keyframes=len(slam.keyframes) if slam else 0,
             t_pe=decision.t_pe if decision else float("nan"),
             sigmas=decision.achieved_sigmas if decision else (),
             lost=self.losses(),
             news=news,
-            reasons=self._explained(),
+            reasons={
+                device: reason
+                for device, reason in self._explained().items()
+                if stale or self._links[device] not in GOOD_LINKS
+            },
             robot={c.name: c.value for c in self._robot_watch.conditions},
             warnings=self._robot_watch.warnings,
         )
@@ -196,14 +210,31 @@ class LiveRun:
                 self._links[event.device] = event.kind
             if event.kind in GOOD_LINKS:
                 self._reasons.pop(event.device, None)
-            else:
+            elif event.kind != "closed":
                 self._reasons[event.device] = detail
             self._watcher.note(line_of(event))
             text = f"{event.device} {event.kind}: {detail}"
             if text != self._said.get(event.device):
                 self._said[event.device] = text
                 news.append(text)
-        return (*news, *self._robot_news())
+        return (*news, *self._robot_news(), *self._swap_news())
+
+    def _swap_news(self) -> list[str]:
+        """A hint where both ports are there and neither answers as what it should be."""
+        silent = all(_NOBODY in self._reasons.get(device, "") for device in self._links)
+        if not silent or self._hinted:
+            return []
+        self._hinted = True
+        return [_SWAPPED]
+
+    @property
+    def never_connected(self) -> dict[str, str]:
+        """Devices that have not been there at all, and why."""
+        explained = self._explained()
+        return {
+            reader.device: explained.get(reader.device, "there was no time for it")
+            for reader in self.readers if not reader.connections
+        }  # fmt: skip
 
     def _robot_news(self) -> list[str]:
         """What has changed about the robot itself; it goes into the log as well."""
@@ -226,6 +257,8 @@ class LiveRun:
                 found[f"{reader.device}: outages"] = reader.outages
         for topic, count in sorted((status.dropped | status.refused).items()):
             found[f"not recorded: {topic}"] = count
+        if self._closing:
+            found |= {f"{device}: never connected": 1 for device in self.never_connected}
         if self.slam is not None:
             found |= dict(self.slam.lost)
         return found

@@ -107,6 +107,8 @@ def run_online(
             write_summary(folder, summary)
     if status.stopped and slam is None:
         raise RunError(status.stopped)
+    if len(live.never_connected) == len(live.readers):
+        raise RunError(f"no device was ever connected{_absent(live)}")
     return summary
 
 
@@ -116,9 +118,13 @@ def _map(
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
     if not live.intake.scans:
-        raise SlamError("no scan came in: the recording is kept, the map is not made")
+        raise SlamError(
+            f"no scan came in: the recording is kept, the map is not made{_absent(live)}"
+        )
     if len(slam.scans) and not live.has_odometry:
-        raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
+        raise SlamError(
+            f"no usable odometry came in: the recording is kept, the map is not made{_absent(live)}"
+        )
 
     def source() -> Iterator[Message]:
         return recording.messages(SLAM_TOPICS)
@@ -131,6 +137,11 @@ def _map(
     lost = {**account["lost"], **summary["lost"]}
     account = account | {"scans": summary["scans"]}
     return summary | account | {"lost": dict(sorted(lost.items()))}
+
+
+def _absent(live: LiveRun) -> str:
+    """Which devices have never been there, and why, to be put behind a sentence."""
+    return "".join(f"; {device}: {why}" for device, why in sorted(live.never_connected.items()))
 
 
 def _timing(

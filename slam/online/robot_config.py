@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -140,6 +141,21 @@ class RobotConfig(BaseModel):
     mount: MountConfig
     recording: RecordingConfig = RecordingConfig()
     slam: SlamConfig = SlamConfig()
+
+    @model_validator(mode="after")
+    def _two_devices(self) -> RobotConfig:
+        robot, laser = (_port_itself(one.port) for one in (self.robot, self.laser))
+        if robot == laser:
+            raise ValueError(
+                f"robot.port and laser.port are the same port, {self.laser.port}: "
+                "`slam drivers probe PORT` says which device is where"
+            )
+        return self
+
+
+def _port_itself(port: str) -> str:
+    """What a name stands for: links of /dev/serial/by-id point to the device."""
+    return port if "://" in port else os.path.realpath(port)
 
 
 def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
