@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from slam.logs.errors import LogError, shown
+from slam.logs.errors import LogError, missing_extra, shown
 from slam.logs.importers.imported import StreamedLog
 from slam.logs.importers.ros_frames import TILT_RAD, FrameTree, Mount, plain, yaw_of
 from slam.logs.importers.ros_messages import mirrored, scan_of, stamp_of
@@ -74,9 +74,7 @@ def _open(path: Path) -> Any:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise LogError(
-            f"{path}: reading ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
-        ) from error
+        raise LogError(missing_extra(f"{path}: reading ROS bags", "ros")) from error
     try:
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()

@@ -193,7 +193,7 @@ class LiveRun:
 
     def _explained(self) -> dict[str, str]:
         """Why a device is not there, and what is being done about it."""
-        tries = {reader.device: reader.failures for reader in self.readers}
+        tries: dict[str, int] = {reader.device: reader.failures for reader in self.readers}
         found = {}
         for device, reason in self._reasons.items():
             trying = f"; trying again, {tries[device]} times so far" if tries[device] else ""

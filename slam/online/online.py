@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import resource
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,7 @@ from slam.online.robot_config import RobotConfig
 from slam.online.run import RECORDING, add_results, log_name, online_run
 from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError, SlamError
+from slam.runs.machine import peak_memory_mb
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish
 from slam.runs.replay import SLAM_TOPICS, summarise, time_matches
@@ -174,7 +174,6 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
 
 def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]) -> dict[str, Any]:
     """What the summary says of devices and recording."""
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log_name(status.files),
         "scans": live.intake.scans,
@@ -184,7 +183,7 @@ def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]
             "messages": status.written, "queued_most": status.queued_most,
             "slowest_sync_s": round(status.slowest_sync_s, 3), "stopped": status.stopped,
         },
-        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "peak_rss_mb": peak_memory_mb(),
         "version": identity["version"],
         "config_sha256": identity["config_sha256"],
         "host": identity["host"],

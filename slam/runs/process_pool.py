@@ -15,12 +15,13 @@ from itertools import islice
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
+from slam.runs.machine import ENDING_SIGNALS
+
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 _STRIPE = 32  # items in a row that one process works on
 _MOST = 4  # processes: each reads all items, so that more and more of the work is done twice
-_ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
 def usable_cores() -> int:
@@ -78,7 +79,7 @@ class _Copy(Generic[Item, Outcome]):
             target=_work_on, args=(share, work, sender, receivers), daemon=True
         )
         # A signal between the fork and the note of it would leave a copy that nobody knows of.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, set(ENDING_SIGNALS))
         try:
             self._process.start()
         finally:
@@ -113,9 +114,9 @@ def _work_on(
     receivers: list[Connection],
 ) -> None:  # fmt: skip
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that was copied ends this one
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in set(ENDING_SIGNALS) - {signal.SIGINT}:
         signal.signal(number, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, set(ENDING_SIGNALS))
     for receiver in receivers:  # or this copy would wait for itself when the other end is gone
         receiver.close()
     try:

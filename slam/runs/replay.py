@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import resource
 import time
 from array import array
 from collections.abc import Iterable, Sequence
@@ -25,6 +24,7 @@ from slam.mapping.relocalise import PriorMap
 from slam.mapping.slam import Slam
 from slam.runs.compiling.second_process import compiled
 from slam.runs.compiling.warmup import warm_up
+from slam.runs.machine import peak_memory_mb
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Progress, Result, run_offline
 from slam.runs.pacing import paced
@@ -184,7 +184,6 @@ def summarise(
     gone = slam.records.pruned_counts
     accepted = sum(v.accepted for v in closure_results) + gone["accepted"]
     candidates = len(closure_results) + gone["accepted"] + gone["rejected"]
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log,
         "scans": len(stamps),
@@ -200,7 +199,7 @@ def summarise(
         "distance_m": round(float(path_length(slam.places(result.keyframes.poses)[1])[-1]), 3),
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
-        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "peak_rss_mb": peak_memory_mb(),
         "lost": dict(sorted(result.lost.items())),
         "noted": dict(sorted(slam.noted.items())),
         "odometry_faults": dict(sorted(slam.odometry_faults.items())),

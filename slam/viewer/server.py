@@ -8,7 +8,10 @@ nobody waits for them.
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
+import os
+import socket
 import threading
 from http import HTTPStatus
 from pathlib import Path
@@ -65,8 +68,7 @@ class LiveServer:
         self._thread.start()
         self._ready.wait(_START_S)
         if self._failure is not None:
-            reason = self._failure.strerror or str(self._failure)
-            raise ViewError(f"{self._address}:{self.port}: no live view: {reason}")
+            raise ViewError(f"{self._address}:{self.port}: no live view: {_reason(self._failure)}")
 
     def put(self, view: View) -> None:
         """Replace what pages are shown; from any thread, in no time."""
@@ -128,6 +130,17 @@ class LiveServer:
         if self._server is not None and len(self._server.connections) >= MOST_PAGES:
             return _response(HTTPStatus.SERVICE_UNAVAILABLE, b"too many pages look already\n")
         return None
+
+
+def _reason(error: OSError) -> str:
+    """What to do about an address that cannot be listened on; asyncio's own words are long."""
+    if error.errno == errno.EADDRINUSE:
+        return "another program has that port: choose one with --view-port, 0 for any free one"
+    if error.errno == errno.EACCES:
+        return "no permission for that port: choose one above 1023 with --view-port"
+    if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+        return "this machine has no such address: choose one of its own with --view-address"
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 def _response(

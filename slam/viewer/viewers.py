@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
+from slam.logs.errors import missing_extra
 from slam.logs.messages import Message, StatusMessage
 from slam.mapping.slam import Slam
 from slam.runs.errors import ViewError
@@ -136,7 +137,7 @@ def _open_page(
     try:
         from slam.viewer.server import LiveServer
     except ImportError as error:
-        raise ViewError("the live view needs the extra `live`: install sdp-slam[live]") from error
+        raise ViewError(missing_extra("the live view", "live")) from error
     token = options.token
     if token and len(token) < LEAST_TOKEN:
         raise ViewError(f"no live view: its token must have at least {LEAST_TOKEN} characters")
@@ -155,9 +156,7 @@ def _open_foxglove(viewers: Viewers, say: Callable[[str], None]) -> Callable[[],
     try:
         from slam.viewer.foxglove import FoxgloveServer
     except ImportError as error:
-        raise ViewError(
-            "--foxglove needs the extra `foxglove`: install sdp-slam[foxglove]"
-        ) from error
+        raise ViewError(missing_extra("--foxglove", "foxglove")) from error
     server = FoxgloveServer()
     server.start()
     say(f"foxglove: open a connection to ws://127.0.0.1:{server.port}")

@@ -54,7 +54,9 @@ def test_hokuyolx_reads_single_scans():
         stamp, scan = client.get_dist()
         assert scan.shape == (1081,)
         assert stamp >= 123_456
-        assert int(scan[540]) == pytest.approx(6000 - 160, abs=60)  # unsigned: no difference below 0
+        assert int(scan[540]) == pytest.approx(
+            6000 - 160, abs=60
+        )  # unsigned: no difference below 0
         _, bright = client.get_intens(start=180, end=900, grouping=4)
         assert bright.shape == (181, 2)
 
