@@ -9,6 +9,7 @@ import os
 import select
 import signal
 import sys
+import traceback
 from types import FrameType
 
 _CLOSED = 141  # 128 + SIGPIPE: what shells give for a program whose reader has gone
@@ -34,9 +35,8 @@ def main() -> None:
             signal.signal(number, _on_signal)
     stdout = _another_handle()
     try:
-        from slam.cli.app import (
-            app,  # takes a third of a second, in which a person may press Ctrl-C
-        )
+        # Takes a third of a second, in which a person may press Ctrl-C.
+        from slam.cli.app import app
 
         app()
     except BaseException as error:
@@ -53,6 +53,10 @@ def main() -> None:
             raise SystemExit(_CLOSED) from None
         if not isinstance(error, Exception) or not (line := _line(error)):
             raise
+        from slam.cli.output import is_verbose
+
+        if is_verbose():
+            traceback.print_exception(error)
         _say(f"slam: {line}")
         raise SystemExit(1) from error
 

@@ -19,7 +19,7 @@ from slam.cli.options import (
     PortOption,
     TokenOption,
 )
-from slam.cli.output import LOSS
+from slam.cli.output import LOSS, is_quiet
 
 if TYPE_CHECKING:
     from slam.runs.status import Status
@@ -175,5 +175,7 @@ class _Progress:
 
 
 def _say(text: str, nl: bool = True) -> None:
+    if is_quiet():
+        return
     with suppress(OSError):  # the terminal was closed; the run is finished all the same
         typer.echo(text, err=True, nl=nl)
