@@ -68,7 +68,7 @@ def online(
         summary = run_online(
             settings, out, record_only=record_only,
             stop=lambda: request() or timer.over(),
-            tell=progress, say=_say, observer=viewers,
+            on_status=progress, report=_say, observer=viewers,
         )  # fmt: skip
     for cause, count in summary["lost"].items():
         _say(f"  lost: {count} {cause}")

@@ -41,8 +41,8 @@ def run_online(
     *,
     stop: Callable[[], bool],
     record_only: bool = False,
-    tell: Callable[[Status], None] = lambda status: None,
-    say: Callable[[str], None] = lambda text: None,
+    on_status: Callable[[Status], None] = lambda status: None,
+    report: Callable[[str], None] = lambda text: None,
     period_s: float = 1.0,
     opener: Callable[[str, int], Port] = open_port,
     observer: Observer | None = None,
@@ -54,8 +54,8 @@ def run_online(
         out: the RUN to make.
         stop: asked several times a second.
         record_only: leave the pipeline out.
-        tell: given a status every `period_s` seconds.
-        say: told what happens, in words.
+        on_status: given a status every `period_s` seconds.
+        report: given what happens, in words.
         period_s: between two statuses.
         opener: opens ports; replaced in tests.
         observer: shown the run as it goes.
@@ -75,7 +75,7 @@ def run_online(
     began = time.perf_counter(), time.process_time()
     with online_run(out, config.slam) as folder, loops:
         if slam is not None:
-            say("getting ready (kernels compile the first time)")
+            report("getting ready (kernels compile the first time)")
             warm_up(config.slam)
         clock = steady_utc()
         kept = record_only or config.recording.rotates
@@ -89,17 +89,17 @@ def run_online(
                 "application/json",
             )  # fmt: skip
             live = LiveRun(config, recorder, clock, slam, opener, observer)
-            say("recording; stop with Ctrl-C")
+            report("recording; stop with Ctrl-C")
             with prioritised():
-                live.run(stop, tell, period_s)
+                live.run(stop, on_status, period_s)
         status = recorder.status()
         summary = _account(live, status, identity)
-        say(f"recorded {status.written} messages")
+        report(f"recorded {status.written} messages")
         if not status.files:
             raise RunError(status.stopped)
         try:
             if slam is not None:
-                say("finishing the map")
+                report("finishing the map")
                 observer.stage("finishing the map")
                 recording = Recording(status.files[0])
                 summary = _map(recording, live, slam, watch, identity, summary, began, observer)
@@ -117,7 +117,7 @@ def _map(
     account: dict[str, Any], began: tuple[float, float], observer: Observer,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
-    if not live.intake.scans:
+    if not live.sequencer.scans:
         raise SlamError(
             f"no scan came in: the recording is kept, the map is not made{_absent(live)}"
         )
@@ -176,7 +176,7 @@ def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]
     """What the summary says of devices and recording."""
     return {
         "log": log_name(status.files),
-        "scans": live.intake.scans,
+        "scans": live.sequencer.scans,
         "lost": live.losses(),
         "devices": live.devices(),
         "recording": {

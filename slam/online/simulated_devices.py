@@ -45,7 +45,7 @@ class SimulatedDevices:
     drives: bool = False  # by itself, as by joystick; otherwise it obeys its client
     folder: Path | None = None  # of the pseudo-terminals' names; None: a new one
 
-    def serve(self, stop: Callable[[], bool], say: Callable[[str], None]) -> None:
+    def serve(self, stop: Callable[[], bool], report: Callable[[str], None]) -> None:
         """Simulate in real time until `stop` says so.
 
         Raises:
@@ -71,15 +71,15 @@ class SimulatedDevices:
                 _endpoint(head, folder / "laser", self.laser_port, serial=False),  # as over USB
             ]
             for what, end in zip((self.robot, self.laser), endpoints, strict=True):
-                say(f"{what}: {end.name}")
-            say(f"laser {AHEAD_M} m ahead of the wheel axis; stop with Ctrl-C")
+                report(f"{what}: {end.name}")
+            report(f"laser {AHEAD_M} m ahead of the wheel axis; stop with Ctrl-C")
             with SimulatorServer(endpoints) as server:
                 while not stop():
                     time.sleep(_LOOK_S)
                     watched = base.sending and head.state == "stream"
                     if isinstance(motion, TrackMotion) and watched and motion.starts_s == _FAR_S:
                         motion.starts_s = server.now_s + _AFTER_S
-                        say(f"driving through the {self.world} in {_AFTER_S:.0f} s")
+                        report(f"driving through the {self.world} in {_AFTER_S:.0f} s")
 
     def _motion(self) -> tuple[Motion, Scenario]:
         try:

@@ -23,7 +23,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from slam.runs.errors import ViewError
-from slam.viewer.access_control import Guard
+from slam.viewer.access_control import AccessControl
 from slam.viewer.frames import Feed
 from slam.viewer.snapshot import View
 
@@ -48,7 +48,7 @@ class LiveServer:
     def __init__(self, address: str, port: int, token: str = "") -> None:
         """Port 0 takes any free one."""
         self.port = port
-        self._address, self._guard = address, Guard(token)
+        self._address, self._access = address, AccessControl(token)
         self._view = View("starting")
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
@@ -117,7 +117,7 @@ class LiveServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """A file, a refusal, or None where the WebSocket may go on."""
         headers, path = request.headers, request.path.partition("?")[0]
-        refusal = self._guard.refusal(
+        refusal = self._access.refusal(
             request.path, headers.get_all("Host"), headers.get_all("Origin"), path in _OPEN
         )
         if refusal:

@@ -106,7 +106,9 @@ def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
     told = []
     with simulated(*faults) as robot:
         out = tmp_path / "run"
-        summary = run_online(robot.config, out, stop=after(8.0), tell=told.append, period_s=0.5)
+        summary = run_online(
+            robot.config, out, stop=after(8.0), on_status=told.append, period_s=0.5
+        )
     online_equals_replay(out, tmp_path)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["keyframes"] >= 3
@@ -200,7 +202,9 @@ def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tm
         config = robot.config.model_copy(update={"robot": port})
         told = []
         with pytest.raises(SlamError, match="no usable odometry"):
-            run_online(config, tmp_path / "run", stop=after(2.5), tell=told.append, period_s=0.3)
+            run_online(
+                config, tmp_path / "run", stop=after(2.5), on_status=told.append, period_s=0.3
+            )
     # On a busy machine one more comes when the devices have been closed.
     last = [status for status in told if "closed" not in status.links.values()][-1]
     assert last.links == {"p3dx": "failed", "laser": "connected"}
@@ -232,7 +236,7 @@ def test_devices_that_fall_silent_are_told_as_such_everywhere(simulated, tmp_pat
             return give_up() or bool(gone and told[-1].age_s > 2.0)
 
         run_online(robot.config, tmp_path / "run", stop=stopping, record_only=True,
-                   tell=told.append, period_s=0.3)  # fmt: skip
+                   on_status=told.append, period_s=0.3)  # fmt: skip
     live = [status for status in told if status.links == both]
     last = [status for status in told if "closed" not in status.links.values()][-1]
     assert min(status.age_s for status in live) < 0.5
@@ -283,7 +287,7 @@ def test_the_map_goes_on_when_the_disk_has_no_room_left_for_the_log(
         config = robot.config.model_copy(update={"recording": RecordingConfig(reserve_mib=1)})
         out = tmp_path / "run"
         end = time.monotonic() + 4.0
-        summary = run_online(config, out, stop=after(8.0), tell=told.append, period_s=0.5)
+        summary = run_online(config, out, stop=after(8.0), on_status=told.append, period_s=0.5)
     assert "the map goes on without a log" in " ".join(" ".join(status.news) for status in told)
     assert summary["recording"]["stopped"].endswith("free some space")
     assert summary["lost"]["not recorded: /scan"] > 40

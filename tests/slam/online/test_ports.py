@@ -68,6 +68,6 @@ def test_ports_that_may_be_swapped_are_hinted_at_once(tmp_path, devices):
             for device in devices:
                 name = {"laser": "Hokuyo", "p3dx": "Pioneer"}[device]
                 event = DeviceEvent(1, device, "failed", f"no {name} answers on x. Is this ...")
-                live.intake(Received(1, event))
-            found += [text for text in live._news() if "swapped" in text]
+                live.sequencer(Received(1, event))
+            found += [text for text in live._device_events() if "swapped" in text]
     assert len(found) == (len(devices) == 2)
