@@ -162,4 +162,4 @@ def _need_the_extra() -> None:
         import optuna  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
-        raise RunError(missing_extra(f"this ({error.name})", "batch")) from error
+        raise RunError(missing_extra("this command", "batch")) from error
