@@ -5,7 +5,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-slow fuzz lint types docs format proto clean
+.PHONY: demo test test-slow test-lowest fuzz dist docs lint types format proto clean
 
 $(READY): pyproject.toml requirements.lock
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -21,6 +21,23 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
+
+# With the oldest versions that pyproject.toml allows, in an environment of its own.
+LOWEST := .venv-lowest
+test-lowest:
+	test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python tests/lowest_versions.py pyproject.toml > $(LOWEST)/lowest.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check -c $(LOWEST)/lowest.txt -e '.[dev]'
+	$(LOWEST)/bin/python -m pytest -q -n 2 --dist loadfile -m 'not slow'
+
+# Wheel and source archive; the wheel is then installed into an empty environment and runs the demo.
+dist: $(READY)
+	rm -rf dist build .venv-dist
+	$(BIN)/python -m build --outdir dist
+	$(PYTHON) -m venv .venv-dist
+	.venv-dist/bin/python -m pip install --quiet --disable-pip-version-check -c requirements.lock "$$(ls dist/*.whl)[live]"
+	cd .venv-dist && bin/slam demo --direct --out demo-out
+	rm -rf build .venv-dist
 
 # Optional: looks for inputs that break the parsers of what devices send, and the log reader.
 fuzz: $(READY)
@@ -56,4 +73,4 @@ proto: $(READY)
 	$(BIN)/python -m grpc_tools.protoc -I logs --descriptor_set_out=logs/slam.binpb logs/slam.proto
 
 clean:
-	rm -rf $(VENV) .types demo-out bench-out site .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(LOWEST) .venv-dist build dist site .types demo-out bench-out .pytest_cache .mypy_cache .ruff_cache

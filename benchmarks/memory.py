@@ -28,7 +28,7 @@ from slam.logs.recording import RecorderConfig
 from benchmarks.online import OFFICE
 from slam.mapping.config import SlamConfig
 from slam.mapping.slam import Slam
-from slam.online.sequencer import Intake
+from slam.online.sequencer import MessageSequencer
 from slam.runs.offline import feed
 from slam.tools.demo.drive import SimulatedRobot
 
@@ -75,14 +75,14 @@ def _run(
         settings = RecorderConfig(recompress=False)
         recorder = Recorder(Path(folder) / "log.mcap", {}, settings)
         with recorder, ThreadPoolExecutor(1) as loops:
-            slam, intake = Slam(SlamConfig(), submit=loops.submit), Intake(recorder)
-            intake(Received(EPOCH_NS, LaserExtrinsics(EPOCH_NS, plan.ahead_m, 0.0, 0.0)))
+            slam, sequencer = Slam(SlamConfig(), submit=loops.submit), MessageSequencer(recorder)
+            sequencer(Received(EPOCH_NS, LaserExtrinsics(EPOCH_NS, plan.ahead_m, 0.0, 0.0)))
             due_s = _SAMPLE_S
             for now_s, received in _wire(robot, seconds):
                 while recorder.status().queued > _QUEUE:
                     time.sleep(0.001)
-                intake(received)
-                while (taken := intake.get(0.0)) is not None:
+                sequencer(received)
+                while (taken := sequencer.get(0.0)) is not None:
                     feed(slam, taken.message)
                 if now_s >= due_s:
                     due_s += _SAMPLE_S

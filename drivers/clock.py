@@ -68,6 +68,7 @@ class DeviceClock:
 
     def _reset(self) -> None:
         self._last: tuple[int, int] | None = None  # count without wraps, receive time
+        self._seen: int | None = None  # device time of the last reading, ns
         self._anchor: int | None = None  # host - device, ns, by the quickest round trip
         self._trip = math.inf
         self._lag: int | None = None  # ns from the true offset up to the lower edge
@@ -98,6 +99,7 @@ class DeviceClock:
         if self._is_strange(device, received_ns):
             return None
         self._last = (device // self._config.tick_ns, received_ns)
+        self._seen = device
         offset = received_ns - device
         self._remember(device, offset)
         if self._lag is None:
@@ -120,7 +122,8 @@ class DeviceClock:
         early = self._level is not None and (
             received_ns - device < self._edge(device) - config.early_s * 1e9
         )
-        if abs(passed) <= config.strange_s * 1e9 and not early:
+        back = self._seen is not None and device < self._seen - config.tick_ns
+        if abs(passed) <= config.strange_s * 1e9 and not early and not back:
             self._strange = 0
             return False
         self.refused += 1

@@ -9,13 +9,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from slam.drivers.connection import Clock, Connection, Sink, steady_utc
+from slam.drivers.connection import (
+    Clock,
+    Connection,
+    DeviceEvent,
+    EventKind,
+    Received,
+    Sink,
+    steady_utc,
+)
 from slam.drivers.errors import LinkLost, NoReply, Refused, WrongDevice
 from slam.drivers.hokuyo_decoder import HokuyoDecoder
 from slam.drivers.ports import Port, open_port
 from slam.drivers.scip_protocol import Reply
 from slam.drivers.scip_scan import ScanRequest, ScanSymbol, SensorParameters, decode_request
 
+_SELF_CHECK_S = 60.0  # s that a sensor may take to check itself; our estimate
 _BAUDS = (19200, 115200, 57600, 38400, 250000, 500000, 750000)  # RS232 models (section 4.1, SS)
 
 
@@ -38,6 +47,7 @@ class HokuyoConfig:
     sync_rounds: int = 10  # round trips of TM1, 0 for none
     reply_s: float = 0.5  # s for an answer
     silence_s: float = 1.0  # s without a scan until the sensor is gone; ten scans at least
+    first_scan_s: float = 10.0  # s from the command to the first scan: its motor spins up
     attempts: int = 4  # tries of QT at each speed
 
     def __post_init__(self) -> None:
@@ -76,6 +86,8 @@ class Hokuyo:
         self._request: ScanRequest | None = None
         self._baud = config.baud
         self._heard_ns = 0
+        self._checks_since_ns: int | None = None  # the sensor checks itself
+        self._oddity = ""  # what it answers instead of scans, in words
         self._silence_ns = round(config.silence_s * 1e9)
 
     def connect(self) -> str:
@@ -85,7 +97,7 @@ class Hokuyo:
 
         Raises:
             PortError, LinkLost: about the port.
-            NoReply: if nothing answers like a Hokuyo.
+            NoReply: if nothing answers like a Hokuyo, or no scan follows.
             WrongDevice: if it does not state its parameters.
             Refused: if it does not want to scan, with its reason.
         """
@@ -99,6 +111,7 @@ class Hokuyo:
         patience_s = max(self._config.silence_s, 10.0 * period_s, 3.0 * self._carried_s())
         self._silence_ns = round(patience_s * 1e9)
         self._start(self._request)
+        self._await_first_scan()
         return self._begun("connected")
 
     def identify(self) -> SensorParameters:
@@ -136,14 +149,42 @@ class Hokuyo:
             Refused: if the sensor reports a fault of its own or has stopped scanning.
         """
         for reply in self._link.receive(timeout_s):
-            if decode_request(reply.echo) is None:
-                continue
-            if reply.status in ("00", "99"):
-                self._heard_ns = reply.stamp_ns
-            elif reply.status.isdigit() and 50 <= int(reply.status) <= 97:
-                raise Refused(f"the laser reports: {reply.status_name}. {self._state()}")
+            self._heed(reply)
         if self._clock() - self._heard_ns > self._silence_ns:
-            raise NoReply(f"no scan from the laser for {self._silence_ns * 1e-9:.1f} s")
+            raise self._silent(self._silence_ns * 1e-9)
+
+    def _heed(self, reply: Reply) -> bool:
+        """Take note of what stands where a scan is expected; returns whether it is a scan.
+
+        Raises:
+            Refused: if it is a fault.
+        """
+        if decode_request(reply.echo) is None:
+            return False
+        if reply.status in ("00", "99"):
+            if self._checks_since_ns is not None and reply.status == "99":
+                self._notify("notice", "sensor has checked itself and scans again")
+            self._heard_ns, self._checks_since_ns, self._oddity = reply.stamp_ns, None, ""
+            return reply.status == "99"
+        self._oddity = reply.status_name
+        number = int(reply.status) if reply.status.isdigit() else 0
+        if 50 <= number <= 97:
+            raise Refused(f"the laser reports: {reply.status_name}.{self._own_words()}")
+        if 21 <= number <= 49:  # section 4.2: it will go on by itself
+            if self._checks_since_ns is None:
+                self._checks_since_ns = reply.stamp_ns
+                self._notify("notice", reply.status_name)
+            if reply.stamp_ns - self._checks_since_ns <= _SELF_CHECK_S * 1e9:
+                self._heard_ns = reply.stamp_ns
+        return False
+
+    def _silent(self, seconds: float) -> NoReply:
+        instead = f"; it answers instead: {self._oddity}" if self._oddity else ""
+        return NoReply(f"no scan from the laser for {seconds:.1f} s{instead}")
+
+    def _notify(self, kind: EventKind, detail: str) -> None:
+        now = self._clock()
+        self._sink(Received(now, DeviceEvent(now, self.device, kind, detail)))
 
     def close(self) -> None:
         """Switch the laser off and let go of the port."""
@@ -191,8 +232,14 @@ class Hokuyo:
         columns = 2 if self._request.with_intensity else 1
         return 10.0 * self._request.values * self._request.characters * columns / int(speed[1])
 
-    def _state(self) -> str:
-        return f"Its own words when asked: {self.decoder.state.get('STAT', 'none')}"
+    def _own_words(self) -> str:
+        """Stop the sensor and ask what it says of its fault; empty if it does not answer."""
+        if self._ask(b"QT", required=False) is None:
+            return ""
+        self._link.drain(0.14, 0.5)
+        if self._ask(b"II", required=False) is None or not self.decoder.state.get("STAT"):
+            return ""
+        return f" Its own words, asked after that: {self.decoder.state['STAT']}"
 
     def _calm(self) -> None:
         """End whatever the sensor is doing: streaming, keeping time, or SCIP 1.1 (section 6)."""
@@ -254,9 +301,24 @@ class Hokuyo:
                     continue
                 if reply.status in ("00", "99"):
                     return
-                raise Refused(f"the laser will not scan: {reply.status_name}. {self._state()}")
+                raise Refused(f"the laser will not scan: {reply.status_name}.{self._own_words()}")
             self._ask(b"QT", required=False)
         raise NoReply(f"the laser on {self._config.port} does not answer {request.encode()!r}")
+
+    def _await_first_scan(self) -> None:
+        """Be patient until the motor turns and the sensor has checked itself.
+
+        Raises:
+            NoReply: if no scan comes.
+            Refused: if the sensor reports a fault.
+        """
+        patience_s = max(self._config.first_scan_s, self._silence_ns * 1e-9)
+        self._heard_ns, self._oddity = self._clock(), ""
+        while self._clock() - self._heard_ns < patience_s * 1e9:
+            for reply in self._link.receive_for(0.1):
+                if self._heed(reply):
+                    return
+        raise self._silent(patience_s)
 
     def _await_scan(self, seconds: float) -> bool:
         request = self._request

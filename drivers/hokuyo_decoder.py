@@ -25,6 +25,7 @@ from slam.drivers.scip_scan import (
 from slam.logs.messages import LaserScan, RawBytes, SensorMessage
 
 _CLOCK_COMMANDS = (b"TM0", b"RS", b"RT", b"RB")  # behind these the counter has a new epoch
+_WRAP_S = (1 << 24) * 1e-3  # s after which the counter starts again at 0 (section 4.3)
 
 
 class HokuyoDecoder:
@@ -42,6 +43,7 @@ class HokuyoDecoder:
         self.scans = 0
         self.missing = 0  # scans that the sensor's clock says there were, but nothing arrived
         self.outage = 0  # likewise, over a new start of the clock: by the times of the scans
+        self.foreign = 0  # scans that another client had asked for before we did
         self.moved_stamps = 0  # of scans that would have come before the one before them
         self.lost: Counter[str] = Counter()  # replies that came but could not be used, by cause
         self.clock = DeviceClock(clock)
@@ -50,6 +52,7 @@ class HokuyoDecoder:
         self._asked_ns: int | None = None  # when TM1 was sent
         self._last_stamp: int | None = None
         self._last_count: int | None = None
+        self._spoke = self._asked_scans = False  # whether this client has, since it began
         self._lost_before = 0  # replies counted in `lost` up to the last scan
 
     def counters(self) -> dict[str, int]:
@@ -58,6 +61,7 @@ class HokuyoDecoder:
             "scans": self.scans,
             "missing_scans": self.missing,
             "outage_scans": self.outage,
+            "foreign_scans": self.foreign,
             "skipped_bytes": self._framer.skipped_bytes,
             "moved_stamps": self.moved_stamps,
             "clock_restarts": self.clock.restarts,
@@ -88,6 +92,8 @@ class HokuyoDecoder:
                 self._inform(symbol, reply)
 
     def _note_command(self, raw: RawBytes) -> None:
+        self._spoke = True
+        self._asked_scans |= raw.data[:2].decode("latin-1") in SCAN_SYMBOLS
         if raw.data.startswith(_CLOCK_COMMANDS):
             self.clock.restart()
             self._last_count = None
@@ -118,6 +124,9 @@ class HokuyoDecoder:
             self._asked_ns = None
 
     def _scan(self, reply: Reply) -> Iterator[LaserScan]:
+        if self.parameters is None and self._spoke and not self._asked_scans:
+            self.foreign += 1  # it still streams to a client that is gone
+            return
         if reply.status not in ("00", "99"):
             self.lost[f"status_{reply.status}"] += 1
             return
@@ -138,7 +147,10 @@ class HokuyoDecoder:
             self.lost["damaged"] += 1
             return
         lag_ns = round(sensor.last_step * sensor.step_s * 1e9)  # it is sent when the sweep is done
+        restarts = self.clock.restarts
         zero_ns = self.clock.observe(raw.timestamp, reply.begun_ns, lag_ns)
+        if self.clock.restarts != restarts:
+            self._last_count = None  # of another epoch: the difference says nothing
         if zero_ns is None:
             self.lost["impossible_time"] += 1
             return
@@ -168,8 +180,11 @@ class HokuyoDecoder:
         self._lost_before = self.lost.total()
         if raw.request.streams:
             period_s = sensor.sweep_s * (raw.request.skip + 1)
-            if self._last_count is not None:
-                passed_s = (raw.timestamp - self._last_count) % (1 << 24) * 1e-3
+            if self._last_count is not None and self._last_stamp is not None:
+                by_stamps_s = (stamp_ns - self._last_stamp) * 1e-9
+                by_count_s = (raw.timestamp - self._last_count) * 1e-3
+                # As many wraps as fit the stamps; a counter that was set back has lost nothing.
+                passed_s = by_stamps_s + math.remainder(by_count_s - by_stamps_s, _WRAP_S)
                 self.missing += max(0, round(passed_s / period_s) - 1 - unusable)
             elif self._last_stamp is not None:
                 passed_s = (stamp_ns - self._last_stamp) * 1e-9

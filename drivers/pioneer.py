@@ -35,7 +35,7 @@ _REPORTS = (*STANDARD, CONFIG, ENCODER, IO, GYRO)
 _PATIENT = 4  # silent rounds of SYNC before a known robot is told to CLOSE
 _PACE_S = 0.005  # s between commands; the firmware may drop quicker ones (section 1)
 _LISTEN_S, _GARBAGE = 0.2, 16  # s, and bytes in that time that are no packet
-_Outcome = Literal["connected", "open", "confused", "silent"]
+_Outcome = Literal["connected", "open", "confused", "garbage", "silent"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,9 +102,15 @@ class Pioneer:
         if self._synchronise() == "open":
             return self._begun("resumed")
         identity = self.decoder.identity
-        if identity is None or self.decoder.model is None:
-            known = ", ".join(MODELS)
-            raise WrongDevice(f"{port.name} is {identity}; conversion factors known for: {known}")
+        if identity is None:
+            raise WrongDevice(f"{port.name} answers like a Pioneer but does not say who it is")
+        if self.decoder.model is None:
+            raise WrongDevice(
+                f"{port.name} is {identity.robot_class} {identity.name} of the kind "
+                f"{identity.subclass!r}, whose conversion factors are not known. Known are: "
+                f"{', '.join(MODELS)}. If it is built like one of them, say so in robot.toml: "
+                '[robot] model = "p3dx-sh"'
+            )
         self._send(Id.OPEN)
         self._send(Id.SONAR, int(self._config.sonar))
         self._ask_config()
@@ -206,13 +212,17 @@ class Pioneer:
         bauds = self._bauds_to_try(known)
         self._use_baud(bauds[0])
         silences = 0
+        faster = [baud for baud in self._fast_bauds() if baud != bauds[0]]
         for _ in range(self._config.attempts):
             outcome = self._handshake()
             if outcome == "connected":
                 self._boot_baud = self._baud
             if outcome == "connected" or (outcome == "open" and known):
                 return outcome
-            if outcome == "silent":
+            if outcome == "garbage" and not known and faster:
+                self._close_at(faster.pop(0), back_to=bauds[0])
+                continue
+            if outcome in ("silent", "garbage"):
                 silences += 1
                 self._use_baud(bauds[silences % len(bauds)])
                 if known and silences < _PATIENT:
@@ -236,6 +246,23 @@ class Pioneer:
             return [self._baud]
         first = [self._boot_baud, self._baud] * 2 if known else [self._baud] * 2
         return [*first, *(baud for baud in BAUD_CODES if baud not in first)]
+
+    def _fast_bauds(self) -> list[int]:
+        """Return the speeds at which an earlier client may have left the robot sending."""
+        if not self._link.port.has_baud:
+            return []
+        likely = [self._config.fast_baud] if self._config.fast_baud else []
+        return [*likely, *(baud for baud in BAUD_CODES if baud not in likely)]
+
+    def _close_at(self, baud: int, back_to: int) -> None:
+        """Close a robot that sends at another speed: it falls back to the one it boots with.
+
+        A robot that is not there at that speed takes this for noise.
+        """
+        self._use_baud(baud)
+        self._send(Id.CLOSE)
+        self._link.drain(0.05, 0.2)
+        self._use_baud(back_to)
 
     def _use_baud(self, baud: int) -> None:
         self._link.port.set_baud(baud)
@@ -264,7 +291,7 @@ class Pioneer:
                     return "confused"
             garbage = self.decoder.counters()["skipped_bytes"] - skipped
             if stage == SYNC0 and garbage > _GARBAGE:
-                break  # a SYNC0 too many does no harm, another one would
+                return "garbage"  # a SYNC0 too many does no harm, another one would
         return "silent"
 
     def _await_report(self, seconds: float) -> bool:

@@ -38,8 +38,16 @@ class RobotModel:
     turn_max: float = math.radians(500.0)  # rad/s
 
 
+_SH = RobotModel(metres=0.001)
+# A robot delivered with a SICK laser bears that in its name; ARIA's files for it have the same
+# factors as p3dx-sh (section 3).
 MODELS: Mapping[str, RobotModel] = MappingProxyType(
-    {"p3dx-sh": RobotModel(metres=0.001), "p3dx": RobotModel(metres=0.000485)}
+    {
+        "p3dx-sh": _SH,
+        "p3dx-sh-lms1xx": _SH,
+        "p3dx-sh-lms500": _SH,
+        "p3dx": RobotModel(metres=0.000485),
+    }
 )
 
 

@@ -17,6 +17,8 @@ from slam.drivers.robot_condition import robot_conditions
 from slam.logs.messages import LaserScan, WheelOdometry
 
 Kind = Literal["laser", "p3dx"]
+# What sensors say of themselves (STAT) when all is well, whole (sections 4.1 and 8).
+SOUND_STATES = ("sensor works well", "stable 000 no error", "sensor is working normally")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +48,10 @@ class _Count:
         if isinstance(received.message, self._kind):
             self.stamps.append(received.receipt_ns)
 
-    def rate_hz(self) -> float:
-        """Return messages a second, 0 if there are too few to tell."""
-        if len(self.stamps) < 2 or self.stamps[-1] == self.stamps[0]:
-            return 0.0
+    def rate_hz(self, seconds: float) -> float:
+        """Return messages a second: between them, or in all the `seconds` if there are few."""
+        if len(self.stamps) < 3 or self.stamps[-1] == self.stamps[0]:
+            return len(self.stamps) / seconds
         return (len(self.stamps) - 1) / ((self.stamps[-1] - self.stamps[0]) * 1e-9)
 
 
@@ -63,7 +65,8 @@ def probe(
 ) -> ProbeReport:
     """Find out what is connected to port `name`, listening to it for `seconds`.
 
-    The laser is asked first: its questions are harmless to a Pioneer, which skips them.
+    The laser is asked first: its questions are harmless to a Pioneer, which skips them.  Not to
+    every simulator of one: name what is expected in `kinds`, then nothing else is asked.
     Motors are not touched.  Raises nothing of ours: what goes wrong is in the report.
     """
     clock = clock or steady_utc()
@@ -84,12 +87,20 @@ def _probe_laser(
 ) -> ProbeReport:
     count = _Count(LaserScan)
     laser = Hokuyo(HokuyoConfig(port=name, attempts=2), count, clock, opener)
+    trouble = ""
     try:
         laser.connect()
+        count.stamps.clear()
         _listen(laser, seconds, clock)
+    except PortError:
+        raise
+    except DriverError as error:
+        if laser.decoder.parameters is None and not laser.decoder.version:
+            raise
+        trouble = str(error)  # it is a laser, and this is what is wrong with it
     finally:
         laser.close()
-    return _laser_report(name, laser.decoder, count.rate_hz())
+    return _laser_report(name, laser.decoder, count.rate_hz(seconds), trouble)
 
 
 def _probe_pioneer(
@@ -99,10 +110,11 @@ def _probe_pioneer(
     robot = Pioneer(PioneerConfig(port=name), count, clock, opener)
     try:
         title = robot.connect()
+        count.stamps.clear()
         _listen(robot, seconds, clock)
     finally:
         robot.close()
-    return _pioneer_report(name, title, robot.decoder, count.rate_hz())
+    return _pioneer_report(name, title, robot.decoder, count.rate_hz(seconds))
 
 
 def _listen(session: Hokuyo | Pioneer, seconds: float, clock: Clock) -> None:
@@ -111,10 +123,10 @@ def _listen(session: Hokuyo | Pioneer, seconds: float, clock: Clock) -> None:
         session.poll()
 
 
-def _laser_report(name: str, decoder: HokuyoDecoder, rate_hz: float) -> ProbeReport:
+def _laser_report(name: str, decoder: HokuyoDecoder, rate_hz: float, trouble: str) -> ProbeReport:
     sensor = decoder.parameters
     facts = [(key, value) for key, value in (*decoder.version.items(), *decoder.state.items())]
-    advice = []
+    advice = [trouble] if trouble else []
     if sensor is not None:
         first, last = (
             sensor.bearing(step) * 57.29578 for step in (sensor.first_step, sensor.last_step)
@@ -124,7 +136,7 @@ def _laser_report(name: str, decoder: HokuyoDecoder, rate_hz: float) -> ProbeRep
             ("range", f"{sensor.range_min_mm} to {sensor.range_max_mm} mm"),
             ("rate by its own account", f"{1.0 / sensor.sweep_s:.1f} Hz"),
         ]
-        if rate_hz < 0.9 / sensor.sweep_s:
+        if not trouble and rate_hz < 0.9 / sensor.sweep_s:
             advice.append(
                 f"only {rate_hz:.1f} scans a second come in: use a faster line, or ask for fewer "
                 "beams (cluster) or scans (skip)"
@@ -133,13 +145,18 @@ def _laser_report(name: str, decoder: HokuyoDecoder, rate_hz: float) -> ProbeRep
     offset = decoder.clock.offset_s
     facts.append(("clock offset", "not measured" if offset is None else f"{offset:.3f} s"))
     status = decoder.state.get("STAT", "")
-    if status and not any(word in status.lower() for word in ("well", "stable", "normal")):
-        advice.append(f"the sensor reports a fault: {status}")
+    if status and not is_sound_state(status):
+        advice.append(f"the sensor reports a fault, or something unknown here: {status}")
     damaged = decoder.lost["damaged"]
     if damaged:
         advice.append(f"{damaged} scans arrived damaged: check cable and plugs")
     title = decoder.version.get("PROD") or (sensor.model if sensor else "Hokuyo")
     return ProbeReport(name, "laser", title, tuple(facts), tuple(advice))
+
+
+def is_sound_state(status: str) -> bool:
+    """Whether a sensor's own words (STAT) are among those known to mean that all is well."""
+    return " ".join(status.lower().split()).rstrip(". ") in SOUND_STATES
 
 
 def _pioneer_report(name: str, title: str, decoder: PioneerDecoder, rate_hz: float) -> ProbeReport:

@@ -26,3 +26,8 @@ def shown(text: str) -> str:
     """
     safe = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return safe if len(safe) <= _SHOWN_LENGTH else safe[: _SHOWN_LENGTH - 3] + "..."
+
+
+def missing_extra(what: str, extra: str) -> str:
+    """Say in one form that something needs an optional part of this program, and how to get it."""
+    return f"{what} needs the extra {extra}: pip install 'sdp-slam[{extra}]'"

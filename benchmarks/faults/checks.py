@@ -14,7 +14,7 @@ from slam.logs.messages import LaserScan, WheelOdometry
 
 from benchmarks.faults.drive import STARTS_S, FaultyDrive
 from slam.mapping.slam import Slam
-from slam.online.sequencer import Intake
+from slam.online.sequencer import MessageSequencer
 from slam.runs.offline import Result
 
 SCAN_S = 0.025
@@ -81,7 +81,7 @@ def scans_lost(counters: Mapping[str, int]) -> int:
     )  # fmt: skip
 
 
-def wrong_counts(drive: FaultyDrive, intake: Intake, log: Path) -> list[str]:
+def wrong_counts(drive: FaultyDrive, sequencer: MessageSequencer, log: Path) -> list[str]:
     """Counters that differ from what has happened on the wires."""
     laser, robot = drive.laser, drive.robot
     scans = laser.messages(LaserScan)
@@ -91,7 +91,7 @@ def wrong_counts(drive: FaultyDrive, intake: Intake, log: Path) -> list[str]:
     due = round((measured[-1] - measured[0]) * drive.head.build.clock_rate / SCAN_S) + 1
     if abs(len(scans) + lost - due) > laser.counters["clock_restarts"] - 1:
         found.append(f"{len(scans)} scans came and {lost} count as lost, but {due} were due")
-    if laser.counters["scans"] != len(scans) or intake.scans != len(scans):
+    if laser.counters["scans"] != len(scans) or sequencer.scans != len(scans):
         found.append("scans: counted otherwise than handed over")
     if robot.counters["reports"] != len(robot.messages(WheelOdometry)):
         found.append("reports: counted otherwise than handed over")
@@ -99,7 +99,7 @@ def wrong_counts(drive: FaultyDrive, intake: Intake, log: Path) -> list[str]:
         found.append("reports: more than were sent")
     with open_log(log) as opened:
         counts = opened.counts()
-    if counts.get("/scan", 0) != len(scans) or intake.unrecorded.total():
+    if counts.get("/scan", 0) != len(scans) or sequencer.unrecorded.total():
         found.append("scans: not all of them are in the log")
     for name, reading in (("laser", laser), ("robot", robot)):
         skipped = reading.counters["skipped_bytes"] + reading.counters.get("bad_checksums", 0)

@@ -37,7 +37,7 @@ from slam.logs.recording import RecorderConfig
 from slam.mapping.config import SlamConfig
 from slam.mapping.slam import Slam
 from slam.online.robot_config import LaserPort, MountConfig, RobotPort
-from slam.online.sequencer import Intake
+from slam.online.sequencer import MessageSequencer
 from slam.runs.offline import feed
 
 _STANDS_S = 3.0  # s, at most, until a robot that has restarted goes on
@@ -106,20 +106,20 @@ class FaultyDrive:
         streams = self.robot.received, self.laser.received
         return [Received(EPOCH_NS, extrinsics), *heapq.merge(*streams, key=lambda r: r.receipt_ns)]
 
-    def record(self, path: Path, config: SlamConfig) -> tuple[Slam, Intake]:
+    def record(self, path: Path, config: SlamConfig) -> tuple[Slam, MessageSequencer]:
         """Record and step, as a live run does."""
         settings = RecorderConfig(recompress=False, reserve_bytes=0)
         with Recorder(path, {}, settings) as recorder, ThreadPoolExecutor(1) as loops:
             slam = Slam(config, submit=loops.submit)
-            intake = Intake(recorder)
+            sequencer = MessageSequencer(recorder)
             for received in self.received():
                 while recorder.status().queued > _QUEUE:
                     time.sleep(0.001)
-                intake(received)
-                while (taken := intake.get(0.0)) is not None:
+                sequencer(received)
+                while (taken := sequencer.get(0.0)) is not None:
                     feed(slam, taken.message)
             slam.finish_input()
-        return slam, intake
+        return slam, sequencer
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -164,7 +164,7 @@ def drive_once(
     config = SlamConfig()
     with tempfile.TemporaryDirectory(prefix="slam-faults-") as folder:
         log = Path(folder) / "run.mcap"
-        slam, intake = drive.record(log, config)
+        slam, sequencer = drive.record(log, config)
 
         def source() -> Any:
             with open_log(log) as opened:
@@ -176,7 +176,7 @@ def drive_once(
         again.finish_input()
         wrong = differences(slam, again)
         live = finish(slam, source)
-        wrong += wrong_counts(drive, intake, log)
+        wrong += wrong_counts(drive, sequencer, log)
     wrong += wrong_scans(drive) + wrong_odometry(drive)
     if hang_s(drive) > HANG_S:
         wrong.append(f"took {hang_s(drive):.1f} s to close the devices")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from slam.drivers.scip_protocol import encode_number, information_line
-from slam.drivers.scip_scan import SCAN_SYMBOLS, SensorParameters, decode_request
+from slam.drivers.scip_scan import SCAN_SYMBOLS, decode_request
 from slam.drivers.simulators.hokuyo_models import HokuyoModel
 
 _NOTE_MOST = 16  # characters of a user string (section 4)
@@ -24,6 +24,12 @@ def version(model: HokuyoModel, serial: str, damaged: bool) -> list[bytes]:
     if damaged:
         lines[1:2] = [b"stray", lines[1][:-1] + b"!"]
     return lines
+
+
+def old_version(model: HokuyoModel, serial: str) -> bytes:
+    """Return the whole answer to V in SCIP 1.1: the lines of VV without sums, status 0."""
+    lines = [line[:-2] for line in version(model, serial, damaged=False)]
+    return b"\n".join([b"V", b"0", *lines]) + b"\n\n"
 
 
 def parameters(model: HokuyoModel) -> list[bytes]:
@@ -79,14 +85,17 @@ def _not_numeric(command: bytes) -> str:
     return ""
 
 
-def no_scan(line: bytes, sensor: SensorParameters) -> str:
-    """Return the status with which a scan command is refused, "" if it is not (section 4.2)."""
+def no_scan(line: bytes, points: tuple[int, int]) -> str:
+    """Return the status with which a scan command is refused, "" if it is not (section 4.2).
+
+    `points` are the first and the last step that the sensor answers for.
+    """
     request = decode_request(line)
     if request is None:
         command = line.partition(b";")[0]
         return "0C" if len(command) < (15 if command[:1] == b"M" else 12) else "0D"
-    if request.end > sensor.last_step:
+    if request.end > points[1]:
         return "04"
-    if request.start < sensor.first_step:
+    if request.start < points[0]:
         return "01"
     return "05" if request.end < request.start else ""

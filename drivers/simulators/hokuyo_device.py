@@ -19,6 +19,7 @@ from slam.drivers.simulators.hokuyo_answers import (
     information,
     no_command,
     no_scan,
+    old_version,
     parameters,
     version,
 )
@@ -44,6 +45,10 @@ class HokuyoBuild:
     boot_status: str = ""  # with which commands are answered meanwhile; empty: not at all
     processing_s: float = 0.001  # s from the last step to the first byte; our estimate
     allows_sync: bool = True  # False: TM is denied
+    spin_up_s: float = 0.0  # s from a stream's command to its first sweep
+    checks: tuple[tuple[float, float], ...] = ()  # s, begin and end: it checks itself
+    check_status: str = "21"  # what it sends meanwhile in place of scans
+    clock_jumps: tuple[tuple[float, int], ...] = ()  # (s of simulation, ms its counter jumps by)
     fault_at_s: float = math.inf  # s, from then on reports carry hardware status 50
     damaged_version: bool = False  # a stray line and a wrong sum in VV (section 6)
     reboots: tuple[tuple[float, float], ...] = ()  # (s of simulation, s it takes)
@@ -77,7 +82,7 @@ class HokuyoDevice:
         self._state = "idle"
         self._request: ScanRequest | None = None
         self._note, self._left = "", 0
-        self._next_sweep = 0
+        self._next_sweep, self._turns_s = 0, now_s
         self._old = self.model.starts_old
         self._reboot_asked_s = -math.inf
         self._zero_clock(now_s)
@@ -88,7 +93,8 @@ class HokuyoDevice:
     def count(self, time_s: float) -> int:
         """Return the sensor's millisecond counter."""
         passed = (time_s - self._started_s) * self.build.clock_rate
-        return (self._count_at_start + math.floor(passed * 1000.0 + 1e-6)) % (1 << 24)
+        jumped = sum(jump for at, jump in self.build.clock_jumps if self._started_s <= at <= time_s)
+        return (self._count_at_start + math.floor(passed * 1000.0 + 1e-6) + jumped) % (1 << 24)
 
     @property
     def state(self) -> str:
@@ -100,6 +106,16 @@ class HokuyoDevice:
         """Seconds from one sweep to the next; the motor is clocked by the sensor's own quartz."""
         return self.model.parameters.sweep_s / self.build.clock_rate
 
+    def prepare(self) -> None:
+        """Measure once before anybody asks: the first sweep takes half a second to load kernels."""
+        sensor = self.model.parameters
+        self._sweeper.distances(ScanRequest("GD", sensor.first_step, sensor.last_step), 0.0)
+
+    def client_left(self) -> None:
+        """A sensor on the network stops when its client has gone; on USB it cannot know."""
+        if self.model.ethernet:
+            self._state = "idle"
+
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes from the client."""
         booting = now_s < self._ready_s
@@ -110,7 +126,9 @@ class HokuyoDevice:
                 self._out += encode_reply(line, self.build.boot_status)
                 continue
             command = decode_command(line)
-            if self._old and (command is None or command.symbol != "SCIP2.0"):
+            if self._old and line == b"V":
+                self._out += old_version(self.model, self.build.serial)
+            elif self._old and (command is None or command.symbol != "SCIP2.0"):
                 self._out += line + b"\nE\n\n"
             elif command is None:
                 self._out += encode_reply(line, no_command(line))
@@ -137,8 +155,10 @@ class HokuyoDevice:
             remaining = max(0, self._left - 1)
             echo = replace(request, count=remaining).encode() + self._note.encode()
             starts = sweep * self._sweep_s
-            if starts >= self.build.fault_at_s:
-                self._out += encode_reply(echo, "50")
+            if starts < self._turns_s:
+                continue
+            if status := self._trouble(starts):
+                self._out += encode_reply(echo, status)
             else:
                 lines = self._sweeper.report(request, starts, self.count(starts))
                 self._out += encode_reply(echo, "99", lines)
@@ -146,6 +166,13 @@ class HokuyoDevice:
             if self._left:
                 self._left = remaining
                 self._state = "stream" if remaining else "idle"
+
+    def _trouble(self, time_s: float) -> str:
+        """Return what stands in place of a scan's status, "" if nothing is wrong."""
+        if time_s >= self.build.fault_at_s:
+            return "50"
+        checks = any(begin <= time_s < end for begin, end in self.build.checks)
+        return self.build.check_status if checks else ""
 
     def _due_s(self, request: ScanRequest) -> float:
         """Return when the report of the next sweep is ready: behind its last step."""
@@ -194,7 +221,8 @@ class HokuyoDevice:
             case "SS":
                 return self._set_speed(command.digits, now_s), []
             case "CR" | "HS":
-                return "04" if command.symbol == "CR" else "03", []
+                fixed = command.symbol == "CR" and not self.model.serial_speeds
+                return "04" if fixed else "03", []
             case "%ST" if self.model.ethernet:
                 return "00", [with_sum(_STATES[self._state].encode())]
             case "SCIP2.0":
@@ -239,10 +267,12 @@ class HokuyoDevice:
     def _scan(self, line: bytes, command: Command, now_s: float) -> bytes:
         if self._state == "clock":
             return encode_reply(line, "0E")
-        request, refusal = decode_request(line), no_scan(line, self.model.parameters)
+        request, refusal = decode_request(line), no_scan(line, self.model.points)
         if request is None or refusal:
             return encode_reply(line, refusal)
         if request.streams:
+            if self._state not in ("on", "stream"):
+                self._turns_s = now_s + self.build.spin_up_s
             self._state, self._left = "stream", request.count
             self._request, self._note = request, "" if command.note is None else f";{command.note}"
             self._next_sweep = math.ceil(now_s / self._sweep_s)

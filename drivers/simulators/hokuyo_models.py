@@ -25,6 +25,13 @@ class HokuyoModel:
     ethernet: bool = False  # states PROT in PP, knows %ST and RT
     serial_speeds: bool = False  # has a baud rate that SS changes
     starts_old: bool = False  # boots in SCIP 1.1 and has to be told SCIP2.0
+    all_points: tuple[int, int] | None = None  # steps it answers for; None: those it measures
+
+    @property
+    def points(self) -> tuple[int, int]:
+        """The first and the last step that can be asked for."""
+        p = self.parameters
+        return self.all_points or (p.first_step, p.last_step)
 
 
 def _utm(model: str) -> SensorParameters:
@@ -62,6 +69,7 @@ MODELS: Mapping[str, HokuyoModel] = MappingProxyType(
             too_near=19,
             serial_speeds=True,
             starts_old=True,
+            all_points=(0, 768),  # SCIP 2.0, page 5; outside 44 to 725 nothing is measured
         ),
         "utm-30lx": HokuyoModel(
             parameters=_utm("UTM-30LX(Hokuyo Automatic Co.,Ltd.)"),

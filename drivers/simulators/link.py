@@ -24,6 +24,14 @@ class Device(Protocol):
 
     baud: int
 
+    def prepare(self) -> None:
+        """Do what takes long the first time, before anybody asks."""
+        ...
+
+    def client_left(self) -> None:
+        """Notice, where the transport tells, that the client has closed the connection."""
+        ...
+
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes from the client."""
         ...

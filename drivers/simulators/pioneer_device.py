@@ -87,6 +87,13 @@ class PioneerDevice:
         self._encoders, self._tripped = Encoders(self._origin), False
         self._out = bytearray()
 
+    def prepare(self) -> None:
+        """Listen to the sonar once before anybody asks: that loads its kernels."""
+        echoes(self._motion, self._world, 0.0)
+
+    def client_left(self) -> None:
+        """Nothing: a robot learns of it by its watchdog alone."""
+
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes from the client."""
         if now_s < self._boots_until:

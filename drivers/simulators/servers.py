@@ -37,6 +37,10 @@ class Endpoint(Protocol):
         """Move bytes both ways at a time of simulation."""
         ...
 
+    def prepare(self) -> None:
+        """Get the device ready; called before time begins."""
+        ...
+
     def descriptors(self) -> list[int]:
         """What to wait for."""
         ...
@@ -50,12 +54,14 @@ class PtyEndpoint:
     """A device behind a pseudo-terminal; after a replug it has another number.
 
     `alias`, a path, always links to it, as udev's /dev/serial/by-id does.  The speed that
-    the client sets counts: at a wrong one it reads garbage.
+    the client sets counts: at a wrong one it reads garbage.  What the device sends while nobody
+    has the port open is lost, as with a real one.
     """
 
     def __init__(self, line: Line, alias: Path | None = None) -> None:
         self._line, self._alias = line, alias
-        self._master = self._slave = -1
+        self._master = -1
+        self._watched = False  # whether a client has the port open
         self._unsent = b""
         self._device = ""
         self._plug()
@@ -79,7 +85,15 @@ class PtyEndpoint:
         if self._master < 0:
             self._plug()
         baud = self._baud()
-        if data := _read(lambda: os.read(self._master, _AT_ONCE)):
+        try:
+            data = _read(lambda: os.read(self._master, _AT_ONCE))
+        except OSError:  # EIO: nobody has opened it
+            self._nobody(now_s, baud)
+            return
+        if not self._watched:
+            self._watched = True
+            self._line.forget()
+        if data:
             self._line.to_device(data, now_s, baud)
         self._unsent = (self._unsent + self._line.to_host(now_s, baud))[-_WAITING:]
         if self._unsent:
@@ -88,25 +102,42 @@ class PtyEndpoint:
             except BlockingIOError:
                 pass  # the client does not read; try again
 
-    def descriptors(self) -> list[int]:
+    def _nobody(self, now_s: float, baud: int) -> None:
+        """Let time pass for the device; what it sends, and what nobody has read, is lost."""
+        self._line.to_host(now_s, baud)
+        if self._watched:
+            self._watched, self._unsent = False, b""
+            slave = os.open(self._device, os.O_RDWR | os.O_NOCTTY)
+            termios.tcflush(slave, termios.TCIFLUSH)
+            os.close(slave)
+
+    def prepare(self) -> None:
         """See `Endpoint`."""
-        return [self._master] if self._master >= 0 else []
+        self._line.device.prepare()
+
+    def descriptors(self) -> list[int]:
+        """See `Endpoint`; a port that nobody has open would wake its waiter at once."""
+        return [self._master] if self._master >= 0 and self._watched else []
 
     def close(self) -> None:
         """Pull the plug."""
         if self._master >= 0:
             os.close(self._master)
-            os.close(self._slave)
-            self._master = self._slave = -1
+            self._master, self._watched = -1, False
             self._unsent = b""
-            if self._alias:
+            if self._alias and self._alias.is_symlink() and self._is_ours(self._alias):
                 self._alias.unlink(missing_ok=True)
 
+    def _is_ours(self, alias: Path) -> bool:
+        """Whether the name still is this device's; another simulator may have taken it over."""
+        return str(alias.readlink()) == self._device
+
     def _plug(self) -> None:
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
+        self._master, slave = os.openpty()
+        tty.setraw(slave)  # stays as long as the master is open
         os.set_blocking(self._master, False)
-        self._device = os.ttyname(self._slave)
+        self._device = os.ttyname(slave)
+        os.close(slave)
         if self._alias:
             self._alias.unlink(missing_ok=True)
             self._alias.symlink_to(self._device)
@@ -166,6 +197,10 @@ class TcpEndpoint:
             except OSError:
                 self._hang_up()
 
+    def prepare(self) -> None:
+        """See `Endpoint`."""
+        self._line.device.prepare()
+
     def descriptors(self) -> list[int]:
         """See `Endpoint`."""
         return [s.fileno() for s in (self._listener, self._client) if s is not None]
@@ -201,6 +236,7 @@ class TcpEndpoint:
         if self._client is not None:
             self._client.close()
             self._client = None
+            self._line.device.client_left()
 
 
 def _read(read: Callable[[], bytes]) -> bytes | None:
@@ -232,6 +268,8 @@ class SimulatorServer:
         return time.time_ns() - time.monotonic_ns() + round(self._began * 1e9)
 
     def __enter__(self) -> SimulatorServer:
+        for endpoint in self._endpoints:
+            endpoint.prepare()
         self._began = time.monotonic()
         self._thread.start()
         return self

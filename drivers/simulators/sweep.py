@@ -13,6 +13,7 @@ from slam.drivers.simulators.motion import Motion
 from slam.drivers.simulators.world import World
 
 Integers = NDArray[np.int32]
+_NOT_MEASURABLE = 19  # code of steps outside AMIN to AMAX (section 4.5)
 
 
 class Sweeper:
@@ -70,7 +71,10 @@ class Sweeper:
         codes = np.where(np.isinf(metres), self.model.nothing, self.model.too_near)
         measured = np.isfinite(metres)
         millimetres = np.round(np.where(measured, metres, 0.0) * 1000.0)
-        return np.asarray(np.where(measured, millimetres, codes), np.int32)
+        steps = np.arange(request.start, request.end + 1)
+        outside = (steps < sensor.first_step) | (steps > sensor.last_step)
+        codes = np.where(outside, _NOT_MEASURABLE, codes)
+        return np.asarray(np.where(measured & ~outside, millimetres, codes), np.int32)
 
     def _lasers(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the laser's poses in the world, (n, 3)."""

@@ -49,8 +49,8 @@ def with_people(
             seen = mount.transformTo(at)
             hit = _disc(bearings, float(seen[0]), float(seen[1]), BODY_M)
             hit += sigma * rng.standard_normal(len(hit))
-            nearer = np.where(hit < message.range_max, np.fmin(ranges, hit), ranges)
-            ranges = nearer.astype(np.float64)
+            nearer = hit < message.range_max
+            ranges[nearer] = np.fmin(ranges, hit)[nearer]
         ranges[ranges < message.range_min] = np.nan
         yield replace(message, ranges=ranges.astype(np.float32))
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from slam.logs.errors import LogError
+from slam.logs.errors import LogError, missing_extra
 from slam.logs.exporters import ros2_messages as ros
 from slam.logs.messages import (
     DeviceHealth,
@@ -82,9 +82,7 @@ def write_ros2(path: Path | str, received: Iterable[tuple[int | None, Message]])
         from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise LogError(
-            f"{path}: writing ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
-        ) from error
+        raise LogError(missing_extra(f"{path}: writing ROS bags", "ros")) from error
     if path.exists() or not path.parent.is_dir():
         reason = "is there already" if path.exists() else "its folder does not exist"
         raise LogError(f"{path}: {reason}: name a new folder for the bag")

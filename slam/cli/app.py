@@ -11,6 +11,7 @@ import typer
 
 from slam.cli.batch import batch, tune
 from slam.cli.checkout import load_benchmarks
+from slam.cli.init import init
 from slam.cli.logs import LogArgument, doctor, export, import_, info, recover, simulate
 from slam.cli.online import drivers_app, online
 from slam.cli.options import (
@@ -21,14 +22,13 @@ from slam.cli.options import (
     PortOption,
     TokenOption,
 )
-from slam.cli.output import exit_on_loss, say
+from slam.cli.output import exit_on_loss, print_version, say, set_talk
 
 app = typer.Typer(
     name="slam",
     help="2D laser SLAM for a Pioneer P3-DX and a Hokuyo: SDP-PE keyframes, ICP factors, GTSAM.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -228,22 +228,36 @@ def _tell_figures(figures: dict[str, Any]) -> None:
         )
 
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    "simulate": simulate,
-    "import": import_,
-    "online": online,
-    "replay": replay,
-    "report": report,
-    "info": info,
-    "doctor": doctor,
-    "recover": recover,
-    "export": export,
-    "reoptimise": reoptimise,
-    "batch": batch,
-    "tune": tune,
-    "bench": bench,
-    "demo": demo,
-}
-for name, command in COMMANDS.items():
-    app.command(name)(command)
-app.add_typer(drivers_app, name="drivers")
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version and end.", is_eager=True, callback=print_version
+        ),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Results and errors alone: no other talk.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="With an error, also where it came from.")
+    ] = False,
+) -> None:
+    """2D laser SLAM for a Pioneer P3-DX and a Hokuyo."""
+    set_talk(quiet=quiet, verbose=verbose)
+
+
+GROUPS: dict[str, dict[str, Callable[..., None]]] = {
+    "Map": {"replay": replay, "report": report, "reoptimise": reoptimise, "demo": demo},
+    "Robot": {"init": init, "online": online},
+    "Logs": {
+        "simulate": simulate, "import": import_, "info": info, "doctor": doctor,
+        "recover": recover, "export": export,
+    },
+    "Experiments": {"batch": batch, "tune": tune, "bench": bench},
+}  # fmt: skip
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+for panel, commands in GROUPS.items():
+    for name, command in commands.items():
+        app.command(name, rich_help_panel=panel)(command)
+app.add_typer(drivers_app, name="drivers", rich_help_panel="Robot")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from slam.cli.output import LOSS, say
+from slam.logs.errors import missing_extra
 from slam.runs.errors import RunError
+from slam.runs.process_pool import usable_cores
 
 _Workers = Annotated[
     int | None,
@@ -152,7 +153,7 @@ def _count(workers: int | None, scheduler: str | None) -> int:
     """
     if workers and scheduler:
         raise typer.BadParameter("--workers is for this machine, --scheduler for others: say one")
-    return workers or len(os.sched_getaffinity(0))
+    return workers or usable_cores()
 
 
 def _need_the_extra() -> None:
@@ -161,6 +162,4 @@ def _need_the_extra() -> None:
         import optuna  # noqa: F401
         import pyarrow  # noqa: F401
     except ImportError as error:
-        raise RunError(
-            f"{error.name} is not installed: pip install 'sdp-slam[batch]' brings it"
-        ) from error
+        raise RunError(missing_extra("this command", "batch")) from error

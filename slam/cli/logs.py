@@ -137,9 +137,11 @@ def doctor(
     ] = None,
 ) -> None:
     """Check a log and list what is odd; exit code 3 on warnings, 1 on errors."""
+    from slam.cli.progress import count_progress
     from slam.tools.inspect import examine_log
 
-    text, code = examine_log(log, json_)
+    with count_progress(log, "examining") as progress:
+        text, code = examine_log(log, json_, progress)
     typer.echo(text)
     if code:
         raise typer.Exit(code)

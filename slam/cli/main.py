@@ -5,9 +5,14 @@ It loads nothing but the standard library before signals are taken care of.
 
 from __future__ import annotations
 
+import os
+import select
 import signal
 import sys
+import traceback
 from types import FrameType
+
+_CLOSED = 141  # 128 + SIGPIPE: what shells give for a program whose reader has gone
 
 
 class _Signalled(BaseException):
@@ -24,13 +29,14 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 def main() -> None:
     """Entry point of the console script: known errors become one line and an exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # `nohup slam`
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows lacks the last
+        number = getattr(signal, name, None)
+        if number and (name != "SIGHUP" or signal.getsignal(number) != signal.SIG_IGN):  # nohup
             signal.signal(number, _on_signal)
+    stdout = _another_handle()
     try:
-        from slam.cli.app import (
-            app,  # takes a third of a second, in which a person may press Ctrl-C
-        )
+        # Takes a third of a second, in which a person may press Ctrl-C.
+        from slam.cli.app import app
 
         app()
     except BaseException as error:
@@ -39,10 +45,37 @@ def main() -> None:
             word = "interrupted" if _received[0] == signal.SIGINT else "terminated"
             _say(f"slam: {word}; nothing half-written is left")
             raise SystemExit(128 + _received[0]) from None
+        broken = isinstance(error, BrokenPipeError) or (
+            isinstance(error, SystemExit) and error.code == 1  # what typer and rich make of it
+        )
+        if broken and _nobody_reads(stdout):  # `slam info LOG | head`
+            sys.stdout = open(os.devnull, "w")  # for what is still to be flushed
+            raise SystemExit(_CLOSED) from None
         if not isinstance(error, Exception) or not (line := _line(error)):
             raise
+        from slam.cli.output import is_verbose
+
+        if is_verbose():
+            traceback.print_exception(error)
         _say(f"slam: {line}")
         raise SystemExit(1) from error
+
+
+def _another_handle() -> int | None:
+    """Stdout once more: rich puts something else in its place when it breaks."""
+    try:
+        return os.dup(sys.stdout.fileno())
+    except (OSError, ValueError, AttributeError):  # it is closed, or is no file
+        return None
+
+
+def _nobody_reads(stdout: int | None) -> bool:
+    """Whether stdout is a pipe whose reader has gone."""
+    if stdout is None or not hasattr(select, "poll"):  # Windows has no such question
+        return False
+    watch = select.poll()
+    watch.register(stdout, 0)  # errors are always told
+    return any(event & select.POLLERR for _, event in watch.poll(0))
 
 
 def _say(text: str) -> None:
@@ -56,6 +89,11 @@ def _line(error: Exception) -> str:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}: check the disk and the permissions"
+    if isinstance(error, RuntimeError) and "no locator available" in str(error):
+        return (
+            "compiled kernels have nowhere to stay: name a folder that you can write in the "
+            "environment variable NUMBA_CACHE_DIR"
+        )
     if isinstance(error, MemoryError):
         return f"not enough memory: {error or 'the log is too long or the map too fine'}"
     return ""

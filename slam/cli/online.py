@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from contextlib import suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,13 +19,21 @@ from slam.cli.options import (
     PortOption,
     TokenOption,
 )
-from slam.cli.output import LOSS
+from slam.cli.output import LOSS, is_quiet
 
 if TYPE_CHECKING:
     from slam.runs.status import Status
 
 drivers_app = typer.Typer(help="Probe ports, or simulate devices.", no_args_is_help=True)
 _QUIET_S = 5.0  # s between progress lines where stderr is no terminal
+
+
+class _Expected(StrEnum):
+    """What a probe asks for."""
+
+    any = "any"
+    laser = "laser"
+    p3dx = "p3dx"
 
 
 def online(
@@ -59,7 +68,7 @@ def online(
         summary = run_online(
             settings, out, record_only=record_only,
             stop=lambda: request() or timer.over(),
-            tell=progress, say=_say, observer=viewers,
+            on_status=progress, report=_say, observer=viewers,
         )  # fmt: skip
     for cause, count in summary["lost"].items():
         _say(f"  lost: {count} {cause}")
@@ -76,14 +85,20 @@ def probe(
         typer.Argument(help="Serial devices, or tcp://host:port.", show_default=False),
     ],
     seconds: Annotated[float, typer.Option(min=0.2, help="How long to listen to each.")] = 1.5,
+    expect: Annotated[
+        _Expected, typer.Option(help="Ask for this device alone; any: for the laser first.")
+    ] = _Expected.any,
 ) -> None:
     """Report what is connected to each port, and what to do if something is wrong."""
+    from slam.drivers.probe import Kind
     from slam.drivers.probe import probe as ask
+
+    kinds: dict[str, tuple[Kind, ...]] = {"laser": ("laser",), "p3dx": ("p3dx",)}
 
     reports = []
     for port in ports:
         _say(f"{port}: asking ...")
-        report = ask(port, seconds)
+        report = ask(port, seconds, kinds.get(expect, ("laser", "p3dx")))
         reports.append(report)
         typer.echo(f"{port}: {report.title}")
         for name, value in report.facts:
@@ -97,7 +112,9 @@ def probe(
 @drivers_app.command()
 def simulate(
     world: Annotated[str, typer.Option(help="Where the robot is.")] = "office",
-    robot: Annotated[str, typer.Option(help="p3dx-sh or p3dx.")] = "p3dx-sh",
+    robot: Annotated[
+        str, typer.Option(help="p3dx-sh, p3dx-sh-lms1xx, p3dx-sh-lms500 or p3dx.")
+    ] = "p3dx-sh",
     laser: Annotated[
         str, typer.Option(help="utm-30lx, utm-30lx-ew, ust-10lx, ust-20lx or urg-04lx.")
     ] = "utm-30lx",
@@ -159,5 +176,7 @@ class _Progress:
 
 
 def _say(text: str, nl: bool = True) -> None:
+    if is_quiet():
+        return
     with suppress(OSError):  # the terminal was closed; the run is finished all the same
         typer.echo(text, err=True, nl=nl)

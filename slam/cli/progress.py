@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -41,3 +41,25 @@ def stage_progress(log: Path) -> Iterator[Tell]:
             bars.update(tasks[stage], completed=done, refresh=True)
 
         yield tell
+
+
+@contextmanager
+def count_progress(log: Path, what: str) -> Iterator[Callable[[int], None]]:
+    """A bar over the messages of a log, on stderr; one line before it begins where there is none.
+
+    At the end of the bar the work need not be done.
+    """
+    console = Console(stderr=True)
+    try:
+        total = sum(Recording(log).counts().values())
+    except LogError:  # who reads it says it better
+        total = 0
+    if not console.is_terminal:
+        if total:
+            console.print(f"{what} {total} messages", soft_wrap=True, highlight=False)
+        yield lambda messages: None
+        return
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bars:
+        task = bars.add_task(what, total=total or None)
+        yield lambda messages: bars.update(task, completed=messages)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import resource
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,7 @@ from slam.online.robot_config import RobotConfig
 from slam.online.run import RECORDING, add_results, log_name, online_run
 from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError, SlamError
+from slam.runs.machine import peak_memory_mb
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish
 from slam.runs.replay import SLAM_TOPICS, time_matches
@@ -42,8 +42,8 @@ def run_online(
     *,
     stop: Callable[[], bool],
     record_only: bool = False,
-    tell: Callable[[Status], None] = lambda status: None,
-    say: Callable[[str], None] = lambda text: None,
+    on_status: Callable[[Status], None] = lambda status: None,
+    report: Callable[[str], None] = lambda text: None,
     period_s: float = 1.0,
     opener: Callable[[str, int], Port] = open_port,
     observer: Observer | None = None,
@@ -55,8 +55,8 @@ def run_online(
         out: the RUN to make.
         stop: asked several times a second.
         record_only: leave the pipeline out.
-        tell: given a status every `period_s` seconds.
-        say: told what happens, in words.
+        on_status: given a status every `period_s` seconds.
+        report: given what happens, in words.
         period_s: between two statuses.
         opener: opens ports; replaced in tests.
         observer: shown the run as it goes.
@@ -76,7 +76,7 @@ def run_online(
     began = time.perf_counter(), time.process_time()
     with online_run(out, config.slam) as folder, loops:
         if slam is not None:
-            say("getting ready (kernels compile the first time)")
+            report("getting ready (kernels compile the first time)")
             warm_up(config.slam)
         clock = steady_utc()
         kept = record_only or config.recording.rotates
@@ -90,17 +90,17 @@ def run_online(
                 "application/json",
             )  # fmt: skip
             live = LiveRun(config, recorder, clock, slam, opener, observer)
-            say("recording; stop with Ctrl-C")
+            report("recording; stop with Ctrl-C")
             with prioritised():
-                live.run(stop, tell, period_s)
+                live.run(stop, on_status, period_s)
         status = recorder.status()
         summary = _account(live, status, identity)
-        say(f"recorded {status.written} messages")
+        report(f"recorded {status.written} messages")
         if not status.files:
             raise RunError(status.stopped)
         try:
             if slam is not None:
-                say("finishing the map")
+                report("finishing the map")
                 observer.stage("finishing the map")
                 recording = Recording(status.files[0])
                 summary = _map(recording, live, slam, watch, identity, summary, began, observer)
@@ -108,6 +108,8 @@ def run_online(
             write_summary(folder, summary)
     if status.stopped and slam is None:
         raise RunError(status.stopped)
+    if len(live.never_connected) == len(live.readers):
+        raise RunError(f"no device was ever connected{_absent(live)}")
     return summary
 
 
@@ -116,10 +118,14 @@ def _map(
     account: dict[str, Any], began: tuple[float, float], observer: Observer,
 ) -> dict[str, Any]:  # fmt: skip
     """Finish the graph, write all results, and return the summary."""
-    if not live.intake.scans:
-        raise SlamError("no scan came in: the recording is kept, the map is not made")
+    if not live.sequencer.scans:
+        raise SlamError(
+            f"no scan came in: the recording is kept, the map is not made{_absent(live)}"
+        )
     if len(slam.scans) and not live.has_odometry:
-        raise SlamError("no usable odometry came in: the recording is kept, the map is not made")
+        raise SlamError(
+            f"no usable odometry came in: the recording is kept, the map is not made{_absent(live)}"
+        )
 
     def source() -> Iterator[Message]:
         return recording.messages(SLAM_TOPICS)
@@ -132,6 +138,11 @@ def _map(
     lost = {**account["lost"], **summary["lost"]}
     account = account | {"scans": summary["scans"]}
     return summary | account | {"lost": dict(sorted(lost.items()))}
+
+
+def _absent(live: LiveRun) -> str:
+    """Which devices have never been there, and why, to be put behind a sentence."""
+    return "".join(f"; {device}: {why}" for device, why in sorted(live.never_connected.items()))
 
 
 def _timing(
@@ -164,17 +175,16 @@ def _spread(name: str, values: Sequence[float]) -> dict[str, float]:
 
 def _account(live: LiveRun, status: RecordingStatus, identity: Mapping[str, str]) -> dict[str, Any]:
     """What the summary says of devices and recording."""
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log_name(status.files),
-        "scans": live.intake.scans,
+        "scans": live.sequencer.scans,
         "lost": live.losses(),
         "devices": live.devices(),
         "recording": {
             "messages": status.written, "queued_most": status.queued_most,
             "slowest_sync_s": round(status.slowest_sync_s, 3), "stopped": status.stopped,
         },
-        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "peak_rss_mb": peak_memory_mb(),
         "version": identity["version"],
         "config_sha256": identity["config_sha256"],
         "host": identity["host"],

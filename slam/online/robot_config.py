@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from slam.logs.messages import LaserExtrinsics
 from slam.logs.recording import RecorderConfig
 from slam.mapping.config import SlamConfig
 from slam.runs.config_file import load_config, load_model
+from slam.runs.errors import ConfigError
 
 
 class RobotPort(BaseModel):
@@ -142,6 +144,11 @@ class RobotConfig(BaseModel):
     slam: SlamConfig = SlamConfig()
 
 
+def _port_itself(port: str) -> str:
+    """What a name stands for: links of /dev/serial/by-id point to the device."""
+    return port if "://" in port else os.path.realpath(port)
+
+
 def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
     """Read `robot.toml`, then apply overrides.
 
@@ -151,7 +158,13 @@ def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
     Raises:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
-    return load_model(RobotConfig, path, [_full_name(override) for override in overrides])
+    config = load_model(RobotConfig, path, [_full_name(override) for override in overrides])
+    if _port_itself(config.robot.port) == _port_itself(config.laser.port):
+        raise ConfigError(
+            f"{path}: robot.port and laser.port are the same port, {config.laser.port}: "
+            "`slam drivers probe PORT` says which device is where"
+        )
+    return config
 
 
 def load_slam(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:

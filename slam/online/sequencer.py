@@ -37,7 +37,7 @@ class Log(Protocol):
         ...
 
 
-class Intake:
+class MessageSequencer:
     """The sink of every device thread; `get` gives the messages that the pipeline is for."""
 
     def __init__(self, log: Log, hand_on: bool = True) -> None:

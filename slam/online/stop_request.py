@@ -10,7 +10,8 @@ import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the last: its terminal was closed
+from slam.runs.machine import ENDING_SIGNALS
+
 _SAME_S = 1.0  # `timeout` and others signal a program and its group: that is one request
 
 
@@ -32,8 +33,9 @@ class StopRequest:
         return self.number != 0
 
     def __enter__(self) -> Self:
-        for number in _SIGNALS:
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+        for number in ENDING_SIGNALS:
+            ignored = signal.getsignal(number) == signal.SIG_IGN  # `nohup slam`
+            if number in (signal.SIGINT, signal.SIGTERM) or not ignored:
                 self._before[number] = signal.signal(number, self._on_signal)
         return self
 

@@ -17,13 +17,15 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any, TypeVar
 
+from slam.runs.machine import ENDING_SIGNALS
+
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 _STRIPE = 32  # items in a row that one process works on: some 10 ms of work
 _AHEAD = 2  # stripes a process that are waiting, so that none is idle
 _MOST = 4  # processes: this one prepares all items, and more could not be kept busy
-_ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+_ENDING = set(ENDING_SIGNALS)
 
 _work: Callable[[Any], Any]  # of a copy
 
@@ -111,7 +113,7 @@ def _begin(work: Callable[[Any], Any]) -> None:
     global _work
     _work = work
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that was copied ends this one
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in set(ENDING_SIGNALS) - {signal.SIGINT}:
         signal.signal(number, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
     threading.Thread(target=_end_with_parent, daemon=True).start()

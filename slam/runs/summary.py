@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import resource
 from typing import Any
 
 from slam.logs.trajectory import path_length
 from slam.mapping.config import SlamConfig
+from slam.runs.machine import peak_memory_mb
 from slam.runs.offline import Result
 from slam.runs.run_directory import version
 
@@ -20,7 +20,6 @@ def summarise(
     gone = slam.records.pruned_counts
     accepted = sum(v.accepted for v in closure_results) + gone["accepted"]
     candidates = len(closure_results) + gone["accepted"] + gone["rejected"]
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "log": log,
         "scans": len(stamps),
@@ -38,7 +37,7 @@ def summarise(
         ),
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
-        "peak_rss_mb": round(peak_kb / 1024, 1),
+        "peak_rss_mb": peak_memory_mb(),
         "lost": dict(sorted(result.lost.items())),
         "noted": dict(sorted(slam.noted.items())),
         "odometry_faults": dict(sorted(slam.odometry_faults.items())),

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from slam.backend.se2 import between, compose
 from slam.logs.messages import FrameTransform, OccupancyMap
-from slam.logs.trajectory import Poses, between, compose
+from slam.logs.trajectory import Poses
 from slam.maps.occupancy import build_map
 from slam.runs.offline import Result
 

@@ -74,6 +74,9 @@ def export(source: Path, targets: Targets) -> Exported:
     for path in targets.paths():
         if path.exists() and log.exists() and path.samefile(log):
             raise RunError(f"{path}: would replace the log itself: choose another name")
+    for one in (targets.tum, targets.g2o):
+        if one is not None and one.exists():
+            raise RunError(f"{one}: exists already: choose another name, or remove it first")
     done = Exported()
     if targets.g2o:
         if log is source:

@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
 from slam.logs.atomic_write import atomic_write
 from slam.logs.doctor import Diagnosis, diagnose
 from slam.logs.errors import shown
-from slam.logs.findings import Severity, seconds
+from slam.logs.findings import Finding, Severity, seconds
 from slam.logs.importers.detect import is_foreign
 from slam.logs.info import ChannelInfo, LogInfo, read_info
+from slam.logs.messages import Message
 from slam.runs.errors import RunError
 from slam.tools.foreign import describe_foreign
 
 _MOST = 50  # lines of a list that are shown
+_PROGRESS_EVERY = 200  # messages between two words on progress: it must not cost time
 _GAPS = 3  # of a channel, the longest
 DOCTOR_CODES: Mapping[Severity | None, int] = {None: 0, "note": 0, "warning": 3, "error": 1}
 
@@ -101,8 +103,17 @@ def _some(lines: Iterable[str]) -> Iterator[str]:
         yield f"  ... and {left} more"
 
 
-def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
+def examine_log(
+    path: Path,
+    json_file: Path | None = None,
+    on_progress: Callable[[int], None] = lambda messages: None,
+) -> tuple[str, int]:
     """What is odd about a log, as text, and the exit code: 0, 3 on warnings, 1 on errors.
+
+    Args:
+        path: the log.
+        json_file: where to write the findings for programs; None: nowhere.
+        on_progress: given the number of messages read so far, now and then.
 
     Raises:
         LogError: the log cannot be read.
@@ -112,7 +123,7 @@ def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
         MotionCheck,  # the matcher, which `slam info` does without
     )
 
-    found = diagnose(path, [MotionCheck()])
+    found = diagnose(path, [MotionCheck(), _Counter(on_progress)])
     if json_file is not None:
         text = json.dumps(found.as_json(), indent=2, allow_nan=False)
         try:
@@ -122,10 +133,32 @@ def examine_log(path: Path, json_file: Path | None = None) -> tuple[str, int]:
     return "\n".join(_findings(found)), DOCTOR_CODES[found.worst]
 
 
+class _Counter:
+    """A check that finds nothing, and tells how far the reading has come."""
+
+    def __init__(self, on_progress: Callable[[int], None]) -> None:
+        self._on_progress, self._messages = on_progress, 0
+
+    def feed(self, message: Message) -> None:
+        self._messages += 1
+        if self._messages % _PROGRESS_EVERY == 0:
+            self._on_progress(self._messages)
+
+    def findings(self) -> Iterator[Finding]:
+        return iter(())
+
+
+def _finding(finding: Finding) -> str:
+    """A finding with its topic, and where there is one, the time of its first or worst case."""
+    where = f"{shown(finding.topic)}: " if finding.topic else ""
+    when = f" ({_utc(finding.at_ns)})" if finding.at_ns else ""
+    return f"{finding.severity}: {where}{finding.text}{when}"
+
+
 def _findings(found: Diagnosis) -> Iterator[str]:
     for topic, drift in sorted(found.drift_ppm.items()):
         if math.isfinite(drift) and drift != 0.0:  # zero: the log knows stamps alone
             yield f"{topic}: the receiving clock gains {drift:.1f} ppm on the device's"
-    yield from _some(f"{finding.severity}: {finding.text}" for finding in found.findings)
+    yield from _some(_finding(finding) for finding in found.findings)
     if not found.findings:
         yield f"{found.path}: nothing odd was found"

@@ -14,7 +14,7 @@ _LOCAL_NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
 @dataclass(frozen=True, slots=True)
-class Guard:
+class AccessControl:
     """Without a token only this machine is served, and only under its local names.
 
     A page of another site can make a browser ask us: its `Origin` gives it away.  It can also

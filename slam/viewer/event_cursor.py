@@ -9,12 +9,12 @@ from slam.mapping.slam import Slam
 
 
 class EventCursor:
-    """Remembers how many decisions, factors, verdicts and estimates are known."""
+    """Remembers how many decisions, factors, closure results and estimates are known."""
 
     def __init__(self) -> None:
         self._known = [0, 0, 0, 0]
         self._last_ns = 0  # stamp of the last keyframe that is known
-        self._thinned_out = 0
+        self._pruned_count = 0
 
     def take(self, slam: Slam) -> list[Message]:
         """The records that are new."""
@@ -22,8 +22,8 @@ class EventCursor:
         kept: tuple[Sequence[Message], ...] = (
             records.decisions, records.factors, slam.loops.closure_results, records.estimates
         )  # fmt: skip
-        if records.pruned_counts["keyframes"] != self._thinned_out:  # old ones have gone, too
-            self._thinned_out = records.pruned_counts["keyframes"]
+        if records.pruned_counts["keyframes"] != self._pruned_count:  # old ones have gone, too
+            self._pruned_count = records.pruned_counts["keyframes"]
             self._known = [sum(r.stamp_ns <= self._last_ns for r in group) for group in kept]
         if records.decisions:
             self._last_ns = records.decisions[-1].stamp_ns

@@ -40,7 +40,7 @@ class FoxgloveServer:
         """Port 0 takes any free one."""
         self.port = port
         self._waiting: deque[Message] = deque(maxlen=_MOST_WAITING)
-        self._news = EventCursor()
+        self._cursor = EventCursor()
         self._view = View("starting")
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="foxglove", daemon=True)
@@ -85,7 +85,7 @@ class FoxgloveServer:
     def put_messages(self, slam: Slam, message: Message) -> None:
         """Queue a message, and what the pipeline has concluded since the last one."""
         self._waiting.append(message)
-        self._waiting.extend(self._news.take(slam))
+        self._waiting.extend(self._cursor.take(slam))
 
     def put_note(self, message: StatusMessage) -> None:
         """Queue a message about a device."""

@@ -28,27 +28,27 @@ _NO_RETURN = 65535
 
 
 class Feed:
-    """What one page has been told so far."""
+    """What one page has been sent so far."""
 
     def __init__(self) -> None:
         self._poses = np.zeros((0, 3), dtype=np.float32)
-        self._verdicts: tuple[LoopResult, ...] = ()
-        self._thinned_out = 0
+        self._closures: tuple[LoopResult, ...] = ()
+        self._pruned_count = 0
         self._greeted = False
 
     def frames(self, view: View) -> Iterator[str]:
         """Yield what brings the page up to date."""
         snapshot = view.snapshot
-        if snapshot is not None and snapshot.pruned_counts != self._thinned_out:
-            self._poses, self._verdicts = self._poses[:0], ()
-            self._thinned_out, self._greeted = snapshot.pruned_counts, False
+        if snapshot is not None and snapshot.pruned_counts != self._pruned_count:
+            self._poses, self._closures = self._poses[:0], ()
+            self._pruned_count, self._greeted = snapshot.pruned_counts, False
         if not self._greeted:
             self._greeted = True
             yield _json({"type": "hello"})
         if snapshot is not None:
             yield from self._new_keyframes(snapshot)
             yield from self._moved(snapshot)
-            yield from self._new_verdicts(snapshot)
+            yield from self._new_closures(snapshot)
         yield _json({"type": "state", "stage": view.stage} | _state(snapshot) | _devices(view))
 
     def _new_keyframes(self, snapshot: Snapshot) -> Iterator[str]:
@@ -90,11 +90,11 @@ class Feed:
                 }
             )
 
-    def _new_verdicts(self, snapshot: Snapshot) -> Iterator[str]:
-        known, now = self._verdicts, snapshot.closure_results
+    def _new_closures(self, snapshot: Snapshot) -> Iterator[str]:
+        known, now = self._closures, snapshot.closure_results
         same = len(known) <= len(now) and all(a is b for a, b in zip(known, now, strict=False))
         first = len(known) if same else 0  # the end of a run may withdraw some
-        self._verdicts = now
+        self._closures = now
         if first < len(now) or not same:
             yield _json(
                 {

@@ -8,7 +8,10 @@ nobody waits for them.
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
+import os
+import socket
 import threading
 from http import HTTPStatus
 from pathlib import Path
@@ -20,7 +23,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from slam.runs.errors import ViewError
-from slam.viewer.access_control import Guard
+from slam.viewer.access_control import AccessControl
 from slam.viewer.frames import Feed
 from slam.viewer.snapshot import View
 
@@ -45,7 +48,7 @@ class LiveServer:
     def __init__(self, address: str, port: int, token: str = "") -> None:
         """Port 0 takes any free one."""
         self.port = port
-        self._address, self._guard = address, Guard(token)
+        self._address, self._access = address, AccessControl(token)
         self._view = View("starting")
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
@@ -65,8 +68,7 @@ class LiveServer:
         self._thread.start()
         self._ready.wait(_START_S)
         if self._failure is not None:
-            reason = self._failure.strerror or str(self._failure)
-            raise ViewError(f"{self._address}:{self.port}: no live view: {reason}")
+            raise ViewError(f"{self._address}:{self.port}: no live view: {_reason(self._failure)}")
 
     def put(self, view: View) -> None:
         """Replace what pages are shown; from any thread, in no time."""
@@ -115,7 +117,7 @@ class LiveServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """A file, a refusal, or None where the WebSocket may go on."""
         headers, path = request.headers, request.path.partition("?")[0]
-        refusal = self._guard.refusal(
+        refusal = self._access.refusal(
             request.path, headers.get_all("Host"), headers.get_all("Origin"), path in _OPEN
         )
         if refusal:
@@ -128,6 +130,17 @@ class LiveServer:
         if self._server is not None and len(self._server.connections) >= MOST_PAGES:
             return _response(HTTPStatus.SERVICE_UNAVAILABLE, b"too many pages look already\n")
         return None
+
+
+def _reason(error: OSError) -> str:
+    """What to do about an address that cannot be listened on; asyncio's own words are long."""
+    if error.errno == errno.EADDRINUSE:
+        return "another program has that port: choose one with --view-port, 0 for any free one"
+    if error.errno == errno.EACCES:
+        return "no permission for that port: choose one above 1023 with --view-port"
+    if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+        return "this machine has no such address: choose one of its own with --view-address"
+    return os.strerror(error.errno) if error.errno else str(error)
 
 
 def _response(

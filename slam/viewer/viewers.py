@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
+from slam.logs.errors import missing_extra
 from slam.logs.messages import Message, StatusMessage
 from slam.mapping.slam import Slam
 from slam.runs.errors import ViewError
@@ -101,13 +102,13 @@ class Viewers:
 
 @contextmanager
 def watched(
-    options: ViewOptions, say: Callable[[str], None], needed: bool = True
+    options: ViewOptions, report: Callable[[str], None], needed: bool = True
 ) -> Iterator[Viewers]:
     """Serve the viewers while the block runs.
 
     Args:
         options: which.
-        say: told where to look.
+        report: given where to look.
         needed: whether to fail where the page cannot be served, rather than go on without it.
 
     Raises:
@@ -117,13 +118,13 @@ def watched(
     try:
         if options.page:
             try:
-                closing.append(_open_page(options, viewers, say))
+                closing.append(_open_page(options, viewers, report))
             except ViewError as error:
                 if needed:
                     raise
-                say(f"{error}; going on without it")
+                report(f"{error}; going on without it")
         if options.foxglove:
-            closing.append(_open_foxglove(viewers, say))
+            closing.append(_open_foxglove(viewers, report))
         yield viewers
     finally:
         for close in reversed(closing):
@@ -131,12 +132,12 @@ def watched(
 
 
 def _open_page(
-    options: ViewOptions, viewers: Viewers, say: Callable[[str], None]
+    options: ViewOptions, viewers: Viewers, report: Callable[[str], None]
 ) -> Callable[[], None]:
     try:
         from slam.viewer.server import LiveServer
     except ImportError as error:
-        raise ViewError("the live view needs the extra `live`: install sdp-slam[live]") from error
+        raise ViewError(missing_extra("the live view", "live")) from error
     token = options.token
     if token and len(token) < LEAST_TOKEN:
         raise ViewError(f"no live view: its token must have at least {LEAST_TOKEN} characters")
@@ -146,21 +147,19 @@ def _open_page(
     page.start()
     host = platform.node() if options.address in ("0.0.0.0", "::") else options.address
     host = f"[{host}]" if ":" in host else host
-    say(f"live view: http://{host}:{page.port}/{f'?token={token}' if token else ''}")
+    report(f"live view: http://{host}:{page.port}/{f'?token={token}' if token else ''}")
     viewers.servers.append(page)
     return page.close
 
 
-def _open_foxglove(viewers: Viewers, say: Callable[[str], None]) -> Callable[[], None]:
+def _open_foxglove(viewers: Viewers, report: Callable[[str], None]) -> Callable[[], None]:
     try:
         from slam.viewer.foxglove import FoxgloveServer
     except ImportError as error:
-        raise ViewError(
-            "--foxglove needs the extra `foxglove`: install sdp-slam[foxglove]"
-        ) from error
+        raise ViewError(missing_extra("--foxglove", "foxglove")) from error
     server = FoxgloveServer()
     server.start()
-    say(f"foxglove: open a connection to ws://127.0.0.1:{server.port}")
+    report(f"foxglove: open a connection to ws://127.0.0.1:{server.port}")
     viewers.servers.append(server)
     viewers.streams.append(server)
     return server.close

@@ -160,6 +160,32 @@ def test_devices_losses_and_news_are_shown(live, visit):
         )
 
 
+def test_the_headline_says_why_nothing_is_live(live, visit):
+    live.go(200)
+    links = {"p3dx": "connected", "laser": "connected"}
+    robot = {"battery": "12.8 V", "motors": "off", "STOP button": "pressed"}
+    with visit() as page:
+        page.goto(live.address)
+        live.viewers.tell(Status(1.0, links, 40.0, 0.02, 0, 3, 2.5, (), {}, robot=robot))
+        expect(page.locator("#link")).to_have_text("live")
+        expect(page.locator("#devices dd")).to_contain_text(["connected", "12.8 V", "off"])
+        live.viewers.tell(
+            Status(
+                2.0, links | {"laser": "failed"}, 0.0, 6.2, 0, 3, 2.5, (), {},
+                reasons={"laser": "no <i>Hokuyo</i> answers; trying again, 3 times so far"},
+                robot=robot, warnings=("the STOP button is pressed",),
+            )
+        )  # fmt: skip
+        expect(page.locator("#link")).to_have_text(
+            "not live: laser failed: no <i>Hokuyo</i> answers; trying again, 3 times so far"
+        )
+        expect(page.locator("#link")).to_have_attribute("data-state", "lost")
+        expect(page.locator("#devices")).to_contain_text("6.2 s")
+        expect(page.locator("#reasons li").last).to_have_text("the STOP button is pressed")
+        live.viewers.tell(Status(3.0, links, 40.0, 0.02, 0, 3, 2.5, (), {}, robot=robot))
+        expect(page.locator("#link")).to_have_text("live")
+
+
 def test_a_page_comes_back_after_the_server_was_away(visit):
     first = LiveDrive()
     first.go(400)

@@ -263,6 +263,7 @@ def test_captured_sessions_decode_whole(capture):
             "scans": 1,
             "missing_scans": 0,
             "outage_scans": 0,
+            "foreign_scans": 0,
             "skipped_bytes": 0,
             "moved_stamps": 0,
             "clock_restarts": 0,

@@ -4,6 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from gtsam import Pose2
+from slam.drivers.connection import DeviceEvent
 from slam.drivers.errors import LinkLost, NoReply, Refused, WrongDevice
 from slam.drivers.hokuyo import HokuyoConfig
 from slam.drivers.simulators.drive import BASE_T_LASER, EPOCH_NS
@@ -117,9 +118,71 @@ def test_a_sensor_that_streams_from_a_killed_client_is_calmed_first(laser_bench)
     bench.line.to_device(b"ME0000108001000\n", 0.0, 0)
     bench.time.sleep(1.0)
     bench.session.connect()
-    assert bench.session.decoder.counters()["lost_without_parameters"] > 0
+    counters = bench.session.decoder.counters()
+    assert counters["foreign_scans"] > 0
+    assert not any(name.startswith("lost_") for name in counters)  # none of ours is missing
     bench.run(1.0)
     assert bench.session.decoder.scans == pytest.approx(40, abs=2)
+
+
+JUMPS = [1_000_000, 20_000, -3_000, -20_000, 8_000_000]
+
+
+# Ahead by less than 5 s cannot be told before the clock has settled.
+@pytest.mark.parametrize(("at_s", "jump_ms"), [*((5.0, j) for j in JUMPS), (25.0, 3_000)])
+def test_a_clock_that_jumps_loses_three_scans_and_no_more(laser_bench, jump_ms, at_s):
+    build = HokuyoBuild(clock_start=9_000_000, clock_jumps=((at_s, jump_ms),))
+    bench = laser_bench(build, **PAPER, skip=3)
+    bench.session.connect()
+    bench.run(at_s + 5.0)
+    counters = bench.session.decoder.counters()
+    assert counters["missing_scans"] <= 1
+    assert counters["outage_scans"] <= 1
+    assert counters.get("lost_impossible_time", 0) <= 3
+    stamps = [s.stamp_ns for s in bench.messages(LaserScan)]
+    assert (stamps[-1] - EPOCH_NS) * 1e-9 == pytest.approx(bench.time.now_s, abs=0.15)
+
+
+def test_a_motor_that_takes_three_seconds_to_spin_up_is_waited_for(laser_bench):
+    bench = laser_bench(HokuyoBuild(spin_up_s=3.0))
+    assert bench.session.connect().startswith("connected")
+    assert bench.time.now_s > 3.0
+    assert bench.session.decoder.scans == 1  # connected means that it measures
+    assert bench.sent().count(b"MD0000108001000") == 1
+    bench.run(1.0)
+
+
+def notices(bench):
+    return [event.detail for event in bench.messages(DeviceEvent) if event.kind == "notice"]
+
+
+@pytest.mark.parametrize("begin", [0.0, 3.0])
+def test_a_sensor_that_checks_itself_is_left_alone_and_told_once(laser_bench, begin):
+    bench = laser_bench(HokuyoBuild(checks=((begin, begin + 5.0),), check_status="35"), **PAPER)
+    bench.session.connect()
+    bench.run(9.0)
+    assert bench.sent().count(b"MD0180090004000") == 1
+    assert notices(bench) == [
+        "sensor has stopped to check itself (35)",
+        "sensor has checked itself and scans again",
+    ]
+    assert bench.session.decoder.scans > 100
+
+
+def test_a_check_without_an_end_is_given_up(laser_bench):
+    bench = laser_bench(HokuyoBuild(checks=((0.0, 1e9),)), **PAPER)
+    with pytest.raises(NoReply, match=r"it answers instead: sensor has stopped to check itself"):
+        bench.session.connect()
+    assert 60.0 < bench.time.now_s < 90.0
+
+
+def test_another_status_in_place_of_scans_is_named(laser_bench):
+    bench = laser_bench(HokuyoBuild(checks=((2.0, 1e9),), check_status="0E"))
+    bench.session.connect()
+    with pytest.raises(
+        NoReply, match=r"no scan from the laser for 1\.0 s; it answers instead: unk"
+    ):
+        bench.run(10.0)
 
 
 def test_a_half_line_of_an_earlier_client_does_no_harm(laser_bench):
@@ -185,7 +248,7 @@ def test_the_speed_of_a_serial_urg_is_found(laser_bench):
 def test_a_fault_of_the_sensor_has_its_name(laser_bench):
     bench = laser_bench(HokuyoBuild(fault_at_s=2.0))
     bench.session.connect()
-    with pytest.raises(Refused, match="hardware fault 50"):
+    with pytest.raises(Refused, match=r"fault 50\. Its own words, asked after that: Laser malf"):
         bench.run(10.0)
 
 

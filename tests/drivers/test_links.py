@@ -16,6 +16,14 @@ class Ticker:
     def __init__(self, baud=9600, size=1):
         self.baud, self.heard, self.sent, self._size = baud, b"", 0, size
 
+        self.left = 0
+
+    def prepare(self):
+        pass
+
+    def client_left(self):
+        self.left += 1
+
     def receive(self, data, now_s):
         self.heard += data
 
@@ -134,6 +142,46 @@ def test_a_pty_carries_both_directions_and_has_a_speed(tmp_path):
     assert b"again" not in device.heard
     assert len(got) > 20
     assert got[10:15] == bytes(range(got[10], got[10] + 5))
+
+
+def test_what_nobody_has_read_is_not_kept_for_the_next_client(tmp_path):
+    device = Ticker(size=50)
+    endpoint = PtyEndpoint(Line(device, serial=False), tmp_path / "laser")
+    with SimulatorServer([endpoint]) as server:
+        for _ in range(2):  # before the first client, and between two
+            before = device.sent
+            end = server.now_s + 0.6
+            while server.now_s < end:
+                time.sleep(0.02)
+            assert device.sent > before + 30  # time passes for it all the same
+            port = open_port(endpoint.name, 9600)
+            first = port.read(1.0)
+            assert (device.sent - first[0]) % 256 < 25
+            time.sleep(0.2)  # leave some unread
+            port.close()
+
+
+def test_a_device_on_the_network_learns_that_its_client_has_left(tmp_path):
+    device = Ticker()
+    endpoint = TcpEndpoint(Line(device, serial=False))
+    with SimulatorServer([endpoint]):
+        port = open_port(endpoint.name)
+        assert port.read(2.0)
+        assert device.left == 0
+        port.close()
+        end = time.monotonic() + 10.0
+        while not device.left and time.monotonic() < end:
+            time.sleep(0.01)
+    assert device.left == 1
+
+
+def test_a_simulator_removes_its_own_names_alone(tmp_path):
+    first = PtyEndpoint(Line(Ticker()), tmp_path / "laser")
+    second = PtyEndpoint(Line(Ticker()), tmp_path / "laser")
+    first.close()
+    assert os.readlink(tmp_path / "laser") == second.device
+    second.close()
+    assert not (tmp_path / "laser").is_symlink()
 
 
 def test_a_replugged_pty_is_found_by_its_alias(tmp_path):

@@ -61,6 +61,28 @@ def test_a_robot_is_taken_over_from_any_state(robot_bench, left_at):
     assert bench.session.decoder.identity.subclass == "p3dx-sh"
 
 
+@pytest.mark.parametrize(("baud", "most_s"), [(38400, 3.0), (115200, 6.0)])
+def test_a_robot_left_at_another_speed_is_closed_there_at_once(robot_bench, baud, most_s):
+    bench = robot_bench()
+    for number in (0, 1, 2, 1):
+        bench.line.to_device(encode_command(number), bench.time.now_s, 9600)
+    code = {38400: 2, 115200: 4}[baud]
+    bench.line.to_device(encode_command(Id.HOSTBAUD, code), bench.time.now_s, 9600)
+    bench.time.sleep(1.0)
+    assert bench.device.baud == baud
+    began = bench.time.now_s
+    bench.session.connect()
+    assert bench.time.now_s - began < most_s
+    assert bench.device.sending
+
+
+@pytest.mark.parametrize("subclass", ["p3dx-sh-lms1xx", "p3dx-sh-lms500"])
+def test_robots_delivered_with_another_laser_are_known(robot_bench, subclass):
+    bench = robot_bench(PioneerBuild(subclass=subclass))
+    assert subclass in bench.session.connect()
+    assert bench.session.decoder.model == MODELS["p3dx-sh"]
+
+
 def test_syncs_are_never_repeated_before_their_time(robot_bench):
     """The second SYNC2 would be a CLOSE; a slow answer must be waited for."""
     bench = robot_bench(faults=WireFaults(delay_s=0.4))

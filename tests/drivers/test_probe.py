@@ -1,6 +1,6 @@
 import pytest
 from slam.drivers.errors import PortError
-from slam.drivers.probe import probe
+from slam.drivers.probe import is_sound_state, probe
 from slam.drivers.simulators.hokuyo_device import HokuyoBuild
 from slam.drivers.simulators.link import WireFaults
 from slam.drivers.simulators.pioneer_build import PioneerBuild
@@ -62,5 +62,35 @@ def test_a_port_that_does_not_open_brings_its_advice():
 def test_trouble_is_named(laser_bench):
     slow = laser_bench(HokuyoBuild(model="urg-04lx"), serial=True)
     assert any("scans a second" in line for line in run(slow, kinds=("laser",)).advice)
-    broken = run(laser_bench(HokuyoBuild(fault_at_s=0.0)), kinds=("laser",))
-    assert any("fault" in line for line in broken.advice)
+
+
+def test_a_faulty_laser_is_named_and_nothing_else_is_asked(laser_bench):
+    bench = laser_bench(HokuyoBuild(fault_at_s=0.0))
+    report = run(bench)
+    assert (report.kind, report.sound) == ("laser", False)
+    assert report.title == "SOKUIKI Sensor TOP-URG UTM-30LX"
+    assert any("hardware fault 50" in line for line in report.advice)
+    assert any("Laser malfunction" in line for line in report.advice)
+    assert b"\xfa\xfb" not in bench.sent()
+    assert bench.time.now_s < 5.0
+
+
+@pytest.mark.parametrize(
+    ("words", "sound"),
+    [
+        ("Sensor works well.", True),
+        ("Stable 000 no error.", True),
+        ("sensor is working normally", True),
+        ("Unstable 100 laser.", False),
+        ("sensor state is abnormal", False),
+        ("Sensor does not work well", False),
+        ("Sensor works well. Not.", False),
+    ],
+)
+def test_a_sensors_words_are_taken_whole(words, sound):
+    assert is_sound_state(words) == sound
+
+
+def test_a_slow_line_has_a_rate_all_the_same(laser_bench):
+    bench = laser_bench(HokuyoBuild(model="urg-04lx"), serial=True)
+    assert dict(run(bench).facts)["rate measured"] != "0.0 Hz"

@@ -102,10 +102,27 @@ def test_what_is_no_command_is_told_as_such():
     assert client.device.advance(0.0) == b"XX\n0Ee\n\nhello\n0Ee\n\n"
 
 
-def test_a_scan_before_the_first_step_is_refused():
+def test_an_urg_answers_for_all_its_steps_and_measures_some_of_them():
     client = Client(model="urg-04lx")
     client.say("SCIP2.0")
-    assert client.status("MD0000072501000") == "01"
+    client.say("BM")
+    client.wait(1.0)
+    assert client.status("MD0000076901000") == "04"
+    [reply] = client.say("GD0000076801")
+    distances = decode_scan(reply).distances
+    assert distances.shape == (769,)
+    assert set(distances[:44].tolist()) | set(distances[726:].tolist()) == {19}
+    assert np.count_nonzero(distances[44:726] > 19) > 500
+
+
+def test_an_urg_says_who_it_is_before_it_is_told_to_speak_scip_2():
+    client = Client(model="urg-04lx")
+    client.device.receive(b"V\n", 0.0)
+    answer = client.device.advance(0.0).decode()
+    assert answer.startswith("V\n0\nVEND:Hokuyo")
+    assert answer.split("\n")[6:] == ["SERI:H0000001", "", ""]
+    client.device.receive(b"L1\n", 0.0)
+    assert client.device.advance(0.0) == b"L1\nE\n\n"
 
 
 def test_md_says_yes_first_and_then_counts_down():

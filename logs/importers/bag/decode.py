@@ -6,7 +6,7 @@ import functools
 import struct
 from typing import Any
 
-from slam.logs.errors import LogError
+from slam.logs.errors import LogError, missing_extra
 from slam.logs.importers.bag.channels import Channel
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
@@ -23,9 +23,7 @@ def _standard_stores() -> dict[str, Any]:
     try:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
-        raise LogError(
-            "reading ROS bags needs rosbags: run `pip install 'sdp-slam[ros]'`"
-        ) from error
+        raise LogError(missing_extra("reading ROS bags", "ros")) from error
     ros1 = get_typestore(Stores.ROS1_NOETIC)
     for kind in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):  # rosbags has them for ROS 2
         ros1.register(get_types_from_msg(_TRANSFORMS, kind))

@@ -36,6 +36,10 @@ def run_demo(out: Path, say: Callable[[str], None], direct: bool = False) -> Non
     with new_run(out) as partial:
         table = _compare(partial, say, direct)
     Console().print(table)
+    say(
+        "one drive proves nothing: which choice ends nearer changes from drive to drive; "
+        "docs/method.md has the means of many"
+    )
     say(f"map:    {out / 'sdp-pe' / 'map.png'}")
     Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
 

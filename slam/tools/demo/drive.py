@@ -17,7 +17,6 @@ import numpy as np
 import tomli_w
 from gtsam import Pose2
 
-from slam.drivers.scip_scan import ScanRequest
 from slam.drivers.simulators.drive import dead_reckoning
 from slam.drivers.simulators.hokuyo_device import HokuyoDevice
 from slam.drivers.simulators.hokuyo_models import MODELS
@@ -76,7 +75,6 @@ class SimulatedRobot:
             MODELS["utm-30lx"], bed.world, self.motion,
             base_T_laser=Pose2(plan.ahead_m, 0.0, 0.0), seed=seed,
         )  # fmt: skip
-        sweeper.distances(ScanRequest("MD", 0, 1080), 0.0)  # compiles the ray casting
         self.laser = HokuyoDevice(sweeper)
         self.ports = [
             PtyEndpoint(Line(self.base), folder / "p3dx"),

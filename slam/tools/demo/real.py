@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from slam.evaluation.report.write import write_report
+from slam.logs.errors import missing_extra
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError
 from slam.runs.process_pool import worker_count
@@ -54,7 +55,7 @@ def shipped_graph() -> Path:
     """
     found = importlib.util.find_spec("rtbdata")
     if found is None or found.origin is None:
-        raise RunError("rtb-data is not installed: pip install 'sdp-slam[demo]' brings it")
+        raise RunError(missing_extra("slam demo --real", "demo"))
     graph = Path(found.origin).parent / GRAPH
     if not graph.is_file():
         raise RunError(f"{graph}: this version of rtb-data has no such file; take another")

@@ -330,7 +330,7 @@ def test_a_missing_extra_is_named(capsys, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "optuna", None)
     code, said = slam(capsys, monkeypatch, "batch", "a.mcap", "--out", tmp_path / "out")
     assert code == 1
-    assert said == "slam: optuna is not installed: pip install 'sdp-slam[batch]' brings it"
+    assert said == "slam: this command needs the extra batch: pip install 'sdp-slam[batch]'"
 
 
 @pytest.mark.parametrize(

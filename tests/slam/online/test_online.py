@@ -106,7 +106,9 @@ def test_the_graph_is_that_of_the_replay(simulated, tmp_path, faults):
     told = []
     with simulated(*faults) as robot:
         out = tmp_path / "run"
-        summary = run_online(robot.config, out, stop=after(8.0), tell=told.append, period_s=0.5)
+        summary = run_online(
+            robot.config, out, stop=after(8.0), on_status=told.append, period_s=0.5
+        )
     online_equals_replay(out, tmp_path)
     assert summary == json.loads((out / "summary.json").read_text())
     assert summary["keyframes"] >= 3
@@ -200,31 +202,44 @@ def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tm
         config = robot.config.model_copy(update={"robot": port})
         told = []
         with pytest.raises(SlamError, match="no usable odometry"):
-            run_online(config, tmp_path / "run", stop=after(2.5), tell=told.append, period_s=0.3)
-    assert told[-1].links == {"p3dx": "failed", "laser": "connected"}
-    assert "p3dx failed" in told[-1].line()
+            run_online(
+                config, tmp_path / "run", stop=after(2.5), on_status=told.append, period_s=0.3
+            )
+    # On a busy machine one more comes when the devices have been closed.
+    last = [status for status in told if "closed" not in status.links.values()][-1]
+    assert last.links == {"p3dx": "failed", "laser": "connected"}
+    assert "p3dx failed" in last.line()
     assert any("does not exist" in text for status in told for text in status.news)
     with open_log(tmp_path / "run" / "run.mcap") as log:
         assert log.counts()["/scan"] > 40
         assert "/odom" not in log.counts()
 
 
+def fall_silent(*devices):
+    """Whatever they hear, they say nothing any more."""
+    for device in devices:
+        device.receive = lambda data, now_s: None
+        device.advance = lambda now_s: b""
+
+
 def test_devices_that_fall_silent_are_told_as_such_everywhere(simulated, tmp_path):
-    told, gone = [], WireFaults(silences=((3.5, 1e9),))
-    with simulated(gone, gone) as robot:
-        stop = after(7.5)
+    told, both = [], {"p3dx": "connected", "laser": "connected"}
+    with simulated() as robot:
+        give_up = after(60.0)
 
         def stopping():
-            robot.base.stop_pressed = len(told) > 3
-            return stop()
+            live = [status for status in told if status.links == both]
+            robot.base.stop_pressed = len(live) > 1
+            if any(status.warnings for status in live):
+                fall_silent(robot.base, robot.laser)
+            gone = told and not {"connected", "waiting"} & set(told[-1].links.values())
+            return give_up() or bool(gone and told[-1].age_s > 2.0)
 
         run_online(robot.config, tmp_path / "run", stop=stopping, record_only=True,
-                   tell=told.append, period_s=0.3)  # fmt: skip
-    live, last = (
-        [s for s in told if s.links == {"p3dx": "connected", "laser": "connected"}],
-        told[-1],
-    )
-    assert min(s.age_s for s in live) < 0.5
+                   on_status=told.append, period_s=0.3)  # fmt: skip
+    live = [status for status in told if status.links == both]
+    last = [status for status in told if "closed" not in status.links.values()][-1]
+    assert min(status.age_s for status in live) < 0.5
     assert last.age_s > 2.0
     assert f"age {last.age_s:.1f} s" in last.line()
     assert "laser failed: no Hokuyo answers" in last.alarm or "laser lost: no scan" in last.alarm
@@ -272,7 +287,7 @@ def test_the_map_goes_on_when_the_disk_has_no_room_left_for_the_log(
         config = robot.config.model_copy(update={"recording": RecordingConfig(reserve_mib=1)})
         out = tmp_path / "run"
         end = time.monotonic() + 4.0
-        summary = run_online(config, out, stop=after(8.0), tell=told.append, period_s=0.5)
+        summary = run_online(config, out, stop=after(8.0), on_status=told.append, period_s=0.5)
     assert "the map goes on without a log" in " ".join(" ".join(status.news) for status in told)
     assert summary["recording"]["stopped"].endswith("free some space")
     assert summary["lost"]["not recorded: /scan"] > 40

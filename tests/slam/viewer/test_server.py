@@ -144,3 +144,17 @@ def test_garbage_is_no_news(server, capfd):
         sock.recv(1000)
     assert get(server.port, "/")[0] == 200
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("address", "words"), [("127.0.0.1", "--view-port"), ("192.0.2.1", "--view-address")]
+)
+def test_an_address_that_cannot_be_had_is_told_in_words_that_help(address, words):
+    first = LiveServer("127.0.0.1", 0)
+    first.start()
+    try:
+        with pytest.raises(ViewError, match=words) as error:
+            LiveServer(address, first.port).start()
+        assert "attempting" not in str(error.value)
+    finally:
+        first.close()
