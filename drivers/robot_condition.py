@@ -1,4 +1,4 @@
-"""What an operator must know of a Pioneer, from its standard report (docs/devices.md, section 2)."""
+"""What an operator must know of a Pioneer: its standard report (docs/devices.md, section 2)."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ _AT_ONCE = 4096  # bytes taken from the system in one call
 
 
 class SerialPort:
-    """8N1 without flow control, locked against other programs (DEVICES.md, section 1.1)."""
+    """8N1 without flow control, locked against other programs (docs/devices.md, section 1.1)."""
 
     has_baud = True
 

@@ -43,7 +43,9 @@ def with_people(
             yield message
             continue
         ranges: Array = message.ranges.astype(np.float64)
-        bearings: Array = message.angle_min + message.angle_step * np.arange(len(ranges))
+        bearings = np.asarray(
+            message.angle_min + message.angle_step * np.arange(len(ranges)), dtype=np.float64
+        )
         for person in people:
             at = np.array([person.x, person.y]) + person.jitter * rng.standard_normal(2)
             seen = mount.transformTo(at)
