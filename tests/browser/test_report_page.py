@@ -136,17 +136,21 @@ def facts(page, place):
 
 def point_at(page, container, k):
     """Move the mouse onto the kth pose of the container's path."""
-    place = page.locator(f"{container} .map")
-    place.scroll_into_view_if_needed()
     slider = page.locator(f"{container} input[type=range]")
     slider.evaluate("(e, k) => { e.value = k; e.dispatchEvent(new Event('input')); }", k)
     shown = facts(page, f"{container} .readout")
-    x, y = (float(shown[axis].removesuffix(" m")) for axis in "xy")
+    slider.evaluate("e => { e.value = 0; e.dispatchEvent(new Event('input')); }")
+    return move_to(page, container, number(shown["x"]), number(shown["y"]))
+
+
+def move_to(page, container, x, y):
+    """Move the mouse to a place on the container's map, given in m; returns it in px."""
+    place = page.locator(f"{container} .map")
+    place.scroll_into_view_if_needed()
     at = place.evaluate(
         "(e, [x, y]) => { const p = e.leaflet.latLngToContainerPoint([y, x]); return [p.x, p.y]; }",
         [x, y],
     )
-    slider.evaluate("e => { e.value = 0; e.dispatchEvent(new Event('input')); }")
     box = place.bounding_box()
     page.mouse.move(box["x"] + at[0] + 1, box["y"] + at[1])
     page.mouse.move(box["x"] + at[0], box["y"] + at[1])
@@ -192,6 +196,10 @@ def test_a_chart_and_the_map_show_the_same_pose(report, visit):
         shown = facts(page, "#run-0-map .readout")
         assert number(said[0]) == pytest.approx(number(shown["time"]), abs=0.01)
         assert number(said[1]) == pytest.approx(number(shown["x"]), abs=0.01)
+        move_to(page, ".map-card:has([data-map=all])", number(shown["x"]), number(shown["y"]))
+        all_runs = facts(page, ".map-card:has([data-map=all]) .readout")
+        assert all_runs["run"] in ("longest-0.3", "longest-0.9")
+        assert number(all_runs["x"]) == pytest.approx(number(shown["x"]), abs=0.2)
 
 
 def number(text):
