@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
-from slam.backend.batch import (
+from slam.backend.batch_optimisation import (
     FactorMaker,
     GraphConfig,
     chi_squares,
@@ -16,8 +16,8 @@ from slam.backend.batch import (
 )
 from slam.backend.chi_square import SUSPICIOUS
 from slam.backend.edges import Edge, GraphError, Matrix, relative_covariance
-from slam.backend.final import FinalGraph, finalise
-from slam.backend.pruning import Pruned, prune
+from slam.backend.final_optimisation import FinalGraph, finalise
+from slam.backend.pruned_graph import Pruned, prune
 
 __all__ = ["Edge", "GraphConfig", "GraphError", "PoseGraph"]
 

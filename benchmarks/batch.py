@@ -18,7 +18,7 @@ from distributed import Client
 from slam.experiments.batch.batch import Batch, run_batch
 from slam.experiments.batch.engine import engine, run_tasks
 from slam.experiments.batch.grid import Grid, make_grid
-from slam.experiments.batch.run import make_task
+from slam.experiments.batch.run_batch import make_task
 from slam.experiments.batch.table import Row, is_time
 from slam.experiments.batch.task import Task, warm
 from slam.mapping.config import SlamConfig

@@ -14,8 +14,8 @@ from typing import Any
 from benchmarks.spread import spread
 from slam.evaluation.report.evaluate import evaluate
 from slam.mapping.config import SlamConfig
-from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import RunError
+from slam.runs.kernel_warmup.warmup import warm_up
 from slam.tools.imports import import_log
 
 # Hess et al. 2016, table of errors by relations: mean and standard deviation, m.

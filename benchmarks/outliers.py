@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from gtsam import Pose2
-from slam.backend.batch import OUTLIER, FactorMaker, GraphConfig, optimise
+from slam.backend.batch_optimisation import OUTLIER, FactorMaker, GraphConfig, optimise
 from slam.backend.edges import Edge
 from slam.backend.g2o import G2oGraph, read_g2o
 from slam.backend.se2 import compose

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from gtsam import Pose2
 from slam.frontend.align_kernels import align
+from slam.frontend.alternative_matchers import find_pose
 from slam.frontend.degeneracy import is_degenerate
 from slam.frontend.match_types import (
     TOLERANCE_M,
@@ -20,7 +21,6 @@ from slam.frontend.match_types import (
     Reference,
     Triple,
 )
-from slam.frontend.other_methods import find_pose
 from slam.frontend.scan import PreparedScan
 
 # An iteration that still swings by a few tolerances stands well within the bias floor.

@@ -75,10 +75,10 @@ def describe(scans: Sequence[tuple[Pose2, PreparedScan]], config: PlaceConfig) -
         stride = max(1, int(TRACED_SPACING / scan.geometry[1]))
         draw_scan(
             scan.points, stride, scan.geometry[2], scan.geometry[3],
-            pose.x(), pose.y(), pose.theta(), ring, free, ring, occupied,
+            pose.x(), pose.y(), pose.theta(), ring, free, occupied,
         )  # fmt: skip
     bins = np.empty((config.rings, config.sectors))
-    centred_bins(free, ring, ring, occupied, bins)
+    centred_bins(free, occupied, bins)
     spectrum = np.fft.rfft(bins, axis=1)[:, 1 : config.harmonics + 1]
     # Both halves of the spectrum make up the correlation, of which only one is kept.
     length = np.sqrt(2.0 * np.sum(spectrum.real**2 + spectrum.imag**2))

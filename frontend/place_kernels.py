@@ -12,12 +12,12 @@ FREE = 1
 
 
 @bare_kernel
-def draw_scan(points, beam_stride, origin_x, origin_y, x, y, theta, cell, free, ring, occupied):
+def draw_scan(points, beam_stride, origin_x, origin_y, x, y, theta, cell, free, occupied):
     """Draw one scan of a submap, standing at (x, y, theta) in the frame of the centre.
 
     `free` is a square grid (n, n) of `cell` metres about the centre, marked where each
     `beam_stride`-th beam passed; `occupied` (rings, sectors) is marked where beams ended, with
-    rings of `ring` metres.
+    rings as wide as a cell.
     """
     c, s = math.cos(theta), math.sin(theta)
     left, top = x + c * origin_x - s * origin_y, y + s * origin_x + c * origin_y
@@ -29,7 +29,7 @@ def draw_scan(points, beam_stride, origin_x, origin_y, x, y, theta, cell, free, 
             continue
         px = x + c * points[k, 0] - s * points[k, 1]
         py = y + s * points[k, 0] + c * points[k, 1]
-        r = int(math.hypot(px, py) / ring)
+        r = int(math.hypot(px, py) / cell)
         if r < rings:
             sector = math.floor(math.atan2(py, px) * per_radian) % sectors
             occupied[r, sector] = 1
@@ -46,7 +46,7 @@ def draw_scan(points, beam_stride, origin_x, origin_y, x, y, theta, cell, free, 
 
 
 @bare_kernel
-def centred_bins(free, cell, ring, occupied, bins):
+def centred_bins(free, occupied, bins):
     """What was seen of each polar bin (rings, sectors), with mean 0 over each ring; 0: unseen.
 
     The mean goes so that what two submaps have in common counts by how much it exceeds chance;
@@ -58,8 +58,8 @@ def centred_bins(free, cell, ring, occupied, bins):
         seen, hit = 0, 0
         for a in range(sectors):
             angle = (a + 0.5) * 2 * math.pi / sectors
-            column = math.floor((r + 0.5) * ring * math.cos(angle) / cell) + half
-            row = math.floor((r + 0.5) * ring * math.sin(angle) / cell) + half
+            column = math.floor((r + 0.5) * math.cos(angle)) + half
+            row = math.floor((r + 0.5) * math.sin(angle)) + half
             inside = 0 <= column < size and 0 <= row < size
             bins[r, a] = 0.0
             if occupied[r, a]:

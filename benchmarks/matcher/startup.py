@@ -29,7 +29,7 @@ for method in ("point_to_line", "point_to_point", "ndt", "psm"):
 """
 PIPELINE = """
 from slam.mapping.config import SlamConfig
-from slam.runs.compiling.warmup import warm_up
+from slam.runs.kernel_warmup.warmup import warm_up
 warm_up(SlamConfig())
 """
 

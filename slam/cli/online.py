@@ -55,8 +55,8 @@ def online(
     foxglove: FoxgloveOption = False,
 ) -> None:
     """Record and map on the robot until Ctrl-C. The motors are never commanded."""
-    from slam.online.online import run_online
     from slam.online.robot_config import load_robot
+    from slam.online.run_online import run_online
     from slam.online.stop_request import StopRequest
     from slam.viewer.viewers import ViewOptions, watched
 

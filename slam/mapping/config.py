@@ -6,27 +6,19 @@ import hashlib
 import json
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, model_validator
 
 from slam.backend.pose_graph import GraphConfig
 from slam.frontend.keyframes import KeyframeConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import ScanConfig
+from slam.mapping.laser import LaserConfig
 from slam.mapping.loop_closing import LoopConfig
 from slam.mapping.odometry import OdometryConfig, RobotLimits
 from slam.mapping.pruning import PruningConfig
 from slam.mapping.registration import RegistrationConfig
 from slam.mapping.scan_localiser import LocaliseConfig
 from slam.maps.occupancy import MapConfig
-
-
-class LaserConfig(BaseModel):
-    """The range finder, as every stage sees it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    range_noise: float = Field(0.010, gt=0, description="m, one sigma of a single reading")
-    max_range: float = Field(60.0, gt=0, description="m, readings beyond are not used")
 
 
 class SlamConfig(BaseModel):

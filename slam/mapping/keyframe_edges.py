@@ -10,7 +10,7 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.backend.pose_graph import Edge, PoseGraph
-from slam.backend.pruning import Renumbered
+from slam.backend.pruned_graph import Renumbered
 from slam.frontend.match_types import Prior, Reference
 from slam.frontend.scan import PreparedScan
 from slam.mapping.config import SlamConfig

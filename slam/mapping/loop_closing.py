@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slam.backend.chi_square import chi_square_limit, mahalanobis
 from slam.backend.pose_graph import Edge, PoseGraph
-from slam.backend.pruning import Renumbered
+from slam.backend.pruned_graph import Renumbered
 from slam.backend.se2 import placed
 from slam.frontend.loop_search import Closure, LoopSearchConfig
 from slam.frontend.match_types import MatchConfig

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slam.backend.edges import Edge
 from slam.backend.pose_graph import PoseGraph
-from slam.backend.pruning import Pruned, Renumbered
+from slam.backend.pruned_graph import Pruned, Renumbered
 from slam.backend.se2 import compose, placed
 from slam.mapping.keyframe import Keyframe
 from slam.mapping.loop_worker import Submit

@@ -11,7 +11,7 @@ import numpy as np
 from gtsam import Pose2
 
 from slam.backend.pose_graph import Edge, PoseGraph
-from slam.backend.pruning import Renumbered
+from slam.backend.pruned_graph import Renumbered
 from slam.frontend.keyframes import Interval
 from slam.logs.messages import FactorRecord, KeyframeDecision, LaserScan, LoopResult, PoseEstimate
 from slam.mapping.keyframe import Keyframe

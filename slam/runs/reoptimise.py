@@ -11,9 +11,9 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from slam.backend.batch import FactorMaker
+from slam.backend.batch_optimisation import FactorMaker
 from slam.backend.edges import Edge, capped
-from slam.backend.final import FinalGraph, finalise
+from slam.backend.final_optimisation import FinalGraph, finalise
 from slam.backend.g2o import read_g2o, write_g2o
 from slam.backend.se2 import between, compose
 from slam.logs.mcap_log import LogWriter, open_log

@@ -22,8 +22,8 @@ from slam.logs.parts import Recording
 from slam.mapping.config import SlamConfig
 from slam.mapping.relocalise import PriorMap
 from slam.mapping.slam import Slam
-from slam.runs.compiling.second_process import compiled
-from slam.runs.compiling.warmup import warm_up
+from slam.runs.kernel_warmup.second_process import compiled
+from slam.runs.kernel_warmup.warmup import warm_up
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Progress, Result, run_offline
 from slam.runs.pacing import paced

@@ -11,7 +11,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 
-from slam.backend.batch import FactorMaker, values_of
+from slam.backend.batch_optimisation import FactorMaker, values_of
 from slam.logs.messages import OccupancyMap
 from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig

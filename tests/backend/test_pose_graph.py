@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gtsam import Pose2
-from slam.backend.batch import ANCHOR_SIGMA
+from slam.backend.batch_optimisation import ANCHOR_SIGMA
 from slam.backend.edges import Edge, GraphError
 from slam.backend.pose_graph import GraphConfig, PoseGraph
 

@@ -11,7 +11,14 @@ from distributed import Client
 
 from slam.experiments.batch.grid import Grid
 from slam.experiments.batch.report import comparison_html, comparison_json
-from slam.experiments.batch.run import Say, failure, hash_logs, make_folder, make_task, run_all
+from slam.experiments.batch.run_batch import (
+    Say,
+    failure,
+    hash_logs,
+    make_folder,
+    make_task,
+    run_all,
+)
 from slam.experiments.batch.sources import expand
 from slam.experiments.batch.table import Row, make_row, parquet
 from slam.experiments.batch.task import Task

@@ -22,8 +22,8 @@ from slam.experiments.batch.sources import local_copy
 from slam.logs.atomic_write import atomic_write
 from slam.logs.errors import LogError
 from slam.mapping.config import SlamConfig
-from slam.runs.compiling.warmup import warm_up
 from slam.runs.errors import ReportError, SlamError
+from slam.runs.kernel_warmup.warmup import warm_up
 from slam.runs.replay import file_sha256, replay
 from slam.runs.run_directory import version
 

@@ -10,7 +10,14 @@ from typing import Any
 
 from distributed import Client
 
-from slam.experiments.batch.run import Say, failure, hash_logs, make_folder, make_task, run_all
+from slam.experiments.batch.run_batch import (
+    Say,
+    failure,
+    hash_logs,
+    make_folder,
+    make_task,
+    run_all,
+)
 from slam.experiments.batch.sources import expand
 from slam.experiments.batch.task import Task
 from slam.experiments.tune.objective import Objective, Score, score, value

@@ -22,7 +22,7 @@ from slam.experiments.batch.engine import BatchError, engine, run_tasks
 from slam.experiments.batch.grid import make_grid
 from slam.experiments.batch.progress import TaskProgress
 from slam.experiments.batch.report import compare
-from slam.experiments.batch.run import make_task
+from slam.experiments.batch.run_batch import make_task
 from slam.experiments.batch.sources import expand, find_truth, local_copy
 from slam.experiments.batch.table import is_time, make_row, parquet
 from slam.experiments.batch.task import log_hash, read_result, run_task

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from slam.backend.edges import Edge
-from slam.backend.pruning import Renumbered
+from slam.backend.pruned_graph import Renumbered
 from slam.backend.se2 import compose
 from slam.drivers.simulators.drive import simulate
 from slam.drivers.simulators.worlds import scenario

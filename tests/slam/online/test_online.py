@@ -23,7 +23,6 @@ from slam.drivers.simulators.worlds import scenario
 from slam.logs.mcap_log import open_log
 from slam.logs.messages import DeviceHealth, LaserScan, LogLine, RawBytes, WheelOdometry
 
-from slam.online.online import run_online
 from slam.online.robot_config import (
     LaserPort,
     MountConfig,
@@ -31,9 +30,10 @@ from slam.online.robot_config import (
     RobotConfig,
     RobotPort,
 )
-from slam.runs.compiling.warmup import warm_up
+from slam.online.run_online import run_online
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError, SlamError
+from slam.runs.kernel_warmup.warmup import warm_up
 from slam.runs.replay import replay
 
 SAME = ("graph.g2o", "graph.times.csv", "trajectory.tum", "keyframes.tum", "odometry.tum",

@@ -8,9 +8,9 @@ import pytest
 from slam.drivers.connection import DeviceEvent, Received, steady_utc
 from slam.logs.recorder import Recorder
 
-from slam.online.live import LiveRun
-from slam.online.online import run_online
+from slam.online.main_loop import LiveRun
 from slam.online.robot_config import load_robot
+from slam.online.run_online import run_online
 from slam.online.simulated_devices import SimulatedDevices
 from slam.runs.errors import ConfigError, RunError
 

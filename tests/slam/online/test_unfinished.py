@@ -8,7 +8,7 @@ from slam.logs.recover import recover
 
 from slam.mapping.config import SlamConfig
 from slam.online.robot_config import load_slam
-from slam.online.run import RECORDING, online_run
+from slam.online.run_folder import RECORDING, online_run
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError
 

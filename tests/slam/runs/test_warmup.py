@@ -11,10 +11,10 @@ from numba import typeof
 from slam.frontend.scan import ScanConfig, prepare
 from slam.logs.messages import LaserExtrinsics
 
-from slam.runs.compiling.second_process import blank_scan, compiling_in_second_process
-from slam.runs.compiling.simulated_room import measure_room
-from slam.runs.compiling.warmup import warm_up
 from slam.runs.config_file import load_config
+from slam.runs.kernel_warmup.second_process import blank_scan, compiling_in_second_process
+from slam.runs.kernel_warmup.simulated_room import measure_room
+from slam.runs.kernel_warmup.warmup import warm_up
 
 
 def test_a_blank_scan_has_arrays_of_the_kinds_that_real_ones_have():
@@ -66,7 +66,7 @@ def test_no_kernel_is_compiled_for_two_kinds_of_arrays(tmp_path):
     program = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
         "from slam.mapping.config import SlamConfig\n"
-        "from slam.runs.compiling.warmup import warm_up\n"
+        "from slam.runs.kernel_warmup.warmup import warm_up\n"
         "warm_up(SlamConfig())"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

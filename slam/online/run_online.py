@@ -18,12 +18,12 @@ from slam.logs.parts import Recording
 from slam.logs.recorder import Recorder
 from slam.logs.recording import RecordingStatus
 from slam.mapping.slam import Slam
-from slam.online.live import LiveRun
+from slam.online.main_loop import LiveRun
 from slam.online.priority import lower_priority, prioritised
 from slam.online.robot_config import RobotConfig
-from slam.online.run import RECORDING, add_results, log_name, online_run
-from slam.runs.compiling.warmup import warm_up
+from slam.online.run_folder import RECORDING, add_results, log_name, online_run
 from slam.runs.errors import RunError, SlamError
+from slam.runs.kernel_warmup.warmup import warm_up
 from slam.runs.machine import peak_memory_mb
 from slam.runs.observer import NullObserver, Observer
 from slam.runs.offline import Result, finish

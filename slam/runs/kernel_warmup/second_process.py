@@ -24,7 +24,7 @@ from slam.frontend.scan import PreparedScan, ScanConfig, prepare, reach_table
 from slam.frontend.scatter_kernels import scatter
 from slam.logs.messages import LaserExtrinsics
 from slam.maps.occupancy import build_map
-from slam.runs.compiling.simulated_room import measure_room
+from slam.runs.kernel_warmup.simulated_room import measure_room
 
 _PATIENCE_S = 120.0
 

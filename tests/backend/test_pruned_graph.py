@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from gtsam import Pose2
 from gtsam.symbol_shorthand import X
-from slam.backend.batch import FactorMaker, values_of
+from slam.backend.batch_optimisation import FactorMaker, values_of
 from slam.backend.edges import Edge, relative_covariance
 from slam.backend.pose_graph import GraphConfig, PoseGraph
-from slam.backend.pruning import prune
+from slam.backend.pruned_graph import prune
 
 CONFIG = GraphConfig(match_sigma_trans=0.0, match_sigma_rot=0.0, robust=False)
 MATCH = np.diag([1e4, 2e4, 1e5])

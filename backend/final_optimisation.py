@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slam.backend.batch import OUTLIER, FactorMaker, optimise
+from slam.backend.batch_optimisation import OUTLIER, FactorMaker, optimise
 from slam.backend.edges import Edge, Matrix
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from slam.logs.messages import LaserExtrinsics, Message, WheelOdometry
 from slam.mapping.config import SlamConfig
-from slam.runs.compiling.second_process import (
+from slam.runs.kernel_warmup.second_process import (
     compile_matcher,
     compiled,
     compiling_in_second_process,
     kept_on_disk,
 )
-from slam.runs.compiling.simulated_room import measure_room
+from slam.runs.kernel_warmup.simulated_room import measure_room
 from slam.runs.offline import run_offline
 from slam.runs.process_pool import usable_cores
 
