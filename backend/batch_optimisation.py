@@ -33,11 +33,13 @@ class GraphConfig(BaseModel):
     loop_kernel: float = Field(
         1.0, gt=0, description="sigmas at which a loop factor starts to weigh less (Cauchy)"
     )
-    icp_kernel: float = Field(3.0, gt=0, description="the same for matches of neighbours (Huber)")
+    icp_kernel: float = Field(
+        3.0, gt=0, description="sigmas at which a match of neighbours starts to weigh less (Huber)"
+    )
     match_sigma_trans: float = Field(
         0.008, ge=0, description="m, added to every match: what real places do to its model"
     )
-    match_sigma_rot: float = Field(0.004, ge=0, description="rad, the same for the heading")
+    match_sigma_rot: float = Field(0.004, ge=0, description="rad, sigma added to the heading")
     reject_loops: bool = Field(
         True, description="let the batch leave out loops that the whole graph contradicts"
     )
@@ -61,7 +63,7 @@ class FactorMaker:
         self.config = config
         self._anchor = gtsam.noiseModel.Diagonal.Sigmas(np.full(3, ANCHOR_SIGMA))
         # A batch asks for each many times.
-        self._weights: dict[Edge, Matrix] = {}
+        self._informations: dict[Edge, Matrix] = {}
         self._gaussians: dict[Edge, gtsam.noiseModel.Gaussian] = {}
         self._factors: dict[tuple[Edge, bool], gtsam.BetweenFactorPose2] = {}
 
@@ -69,8 +71,8 @@ class FactorMaker:
         """A maker that knows edges under new names, the second of each pair, as this one does."""
         other = FactorMaker(self.config)
         for old, new in edges:
-            if old in self._weights:
-                other._weights[new] = self._weights[old]
+            if old in self._informations:
+                other._informations[new] = self._informations[old]
             if old in self._gaussians:
                 other._gaussians[new] = self._gaussians[old]
         return other
@@ -97,11 +99,11 @@ class FactorMaker:
             self._factors[edge, robust] = known
         return known
 
-    def weight(self, edge: Edge) -> Matrix:
+    def information(self, edge: Edge) -> Matrix:
         """(3, 3) information that an edge gets: a match's own, widened by the model's error."""
-        known = self._weights.get(edge)
+        known = self._informations.get(edge)
         if known is None:
-            known = self._weights[edge] = self._widened(edge)
+            known = self._informations[edge] = self._widened(edge)
         return known
 
     def _widened(self, edge: Edge) -> Matrix:
@@ -122,11 +124,11 @@ class FactorMaker:
         return known
 
     def _model(self, edge: Edge) -> gtsam.noiseModel.Gaussian:
-        weight = self.weight(edge)
+        information = self.information(edge)
         # GTSAM takes the square root by Cholesky, which an axis without information would break:
         # it gets a sigma of 30,000 times the best-known one.
-        ridge = 1e-9 * float(np.abs(np.diag(weight)).max())
-        return gtsam.noiseModel.Gaussian.Information(weight + ridge * np.eye(3))
+        ridge = 1e-9 * float(np.abs(np.diag(information)).max())
+        return gtsam.noiseModel.Gaussian.Information(information + ridge * np.eye(3))
 
     def _noise(self, edge: Edge, robust: bool) -> gtsam.noiseModel.Base:
         gaussian = self._gaussian(edge)
@@ -207,9 +209,9 @@ def optimise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> BatchR
 
 def chi_squares(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> NDArray[np.float64]:
     """Squared Mahalanobis norm of every edge's residual at poses (n, 3), (edges,)."""
-    weights = np.array([maker.weight(edge) for edge in edges]).reshape(-1, 3, 3)
+    informations = np.array([maker.information(edge) for edge in edges]).reshape(-1, 3, 3)
     errors = residuals(poses, edges)
-    squares: NDArray[np.float64] = np.einsum("ki,kij,kj->k", errors, weights, errors)
+    squares: NDArray[np.float64] = np.einsum("ki,kij,kj->k", errors, informations, errors)
     return squares
 
 

@@ -36,6 +36,6 @@ def finalise(poses: Matrix, edges: Sequence[Edge], maker: FactorMaker) -> FinalG
     }
     kept = [edge for k, edge in enumerate(edges) if k not in removed]
     return FinalGraph(
-        result.poses, kept, [maker.weight(edge) for edge in kept], len(result.loop_weights),
+        result.poses, kept, [maker.information(edge) for edge in kept], len(result.loop_weights),
         removed, result.error_before, result.error_after,
     )  # fmt: skip

@@ -88,7 +88,7 @@ class PoseGraph:
         for edge in edges:
             if edge.j != new or not 0 <= edge.i < new:
                 raise GraphError(f"edge {edge.i}-{edge.j} does not tie keyframe {new}")
-        total = sum((self._maker.weight(edge) for edge in edges), np.zeros((3, 3)))
+        total = sum((self._maker.information(edge) for edge in edges), np.zeros((3, 3)))
         if np.linalg.eigvalsh(total)[0] < 1e-6:
             raise GraphError(f"keyframe {new} is loose: its edges leave an axis open")
         values = gtsam.Values()
@@ -126,14 +126,14 @@ class PoseGraph:
 
     def without(self, gone: Sequence[int]) -> tuple[PoseGraph, Pruned]:
         """A new graph that lacks the keyframes `gone`, and what became of their edges."""
-        left = prune(self.edges, self.poses, gone, self.weight)
+        left = prune(self.edges, self.poses, gone, self.information)
         maker = self._maker.renamed(zip(left.untouched, left.edges, strict=False))
         poses = self.poses[left.index.stays]
         return PoseGraph.restored(poses, left.edges, self.config, maker), left
 
-    def weight(self, edge: Edge) -> Matrix:
+    def information(self, edge: Edge) -> Matrix:
         """(3, 3) information with which an edge is optimised."""
-        return self._maker.weight(edge)
+        return self._maker.information(edge)
 
     def agrees(self, edge: Edge) -> bool:
         """Whether an edge, in the graph or not, fits where the poses are now."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slam.backend.chi_square import SUSPICIOUS
 from slam.backend.edges import Edge, Kind, Matrix
 
-Weight = Callable[[Edge], Matrix]  # (3, 3) information with which an edge is optimised
+InformationOf = Callable[[Edge], Matrix]  # (3, 3) information with which an edge is optimised
 
 _RIDGE = 1e-6  # 1 / m^2 or 1 / rad^2: a kilometre, where no edge sees an axis
 
@@ -83,18 +83,20 @@ class _Constraint:
         return Edge(kind, i, j, self.i_T_j, 0.5 * (self.information + self.information.T))
 
 
-def prune(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Weight) -> Pruned:
+def prune(
+    edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], information_of: InformationOf
+) -> Pruned:
     """The graph without the poses `gone`.
 
-    From the earlier neighbour that knows best where such a pose is, new edges lead to its later
-    ones; what the other earlier neighbours know of it is given up.  With one later neighbour the
+    New edges lead from the earlier neighbour that constrains such a pose best to its later ones;
+    what the other earlier neighbours know of it is given up.  With one later neighbour the
     rest of the graph is never better known than before; several share what the first one knows.
 
     Args:
         edges: each from an earlier pose to a later one (i < j).
         poses: (n, 3) map_T_k [x, y, theta], where the graph has them.
         gone: indices; each has an edge to an earlier pose, which 0 cannot have.
-        weight: of an edge.
+        information_of: (3, 3) with which an edge is optimised.
     """
     leaving, anchors, made = set(gone), {}, []
     touching: dict[int, list[Edge]] = {v: [] for v in sorted(leaving)}
@@ -105,9 +107,11 @@ def prune(edges: Sequence[Edge], poses: Matrix, gone: Sequence[int], weight: Wei
         before = _by_end([edge for edge in touched if edge.i != v and edge.i not in leaving], "i")
         after = _by_end([edge for edge in touched if edge.i == v], "j")
         anchors[v] = min(before, key=lambda i: (float(np.hypot(*(poses[i] - poses[v])[:2])), i))
-        first, nearest = _best({i: _combined(group, poses, weight) for i, group in before.items()})
+        first, nearest = _best(
+            {i: _combined(group, poses, information_of) for i, group in before.items()}
+        )
         for j, group in after.items():
-            through = _joined(nearest, _combined(group, poses, weight))
+            through = _joined(nearest, _combined(group, poses, information_of))
             kind: Kind = "icp" if through.well_constrained else "odometry"
             if all(edge.kind == "loop" for edge in group):
                 kind = "loop"
@@ -134,12 +138,12 @@ def _best(constraints: dict[int, _Constraint]) -> tuple[int, _Constraint]:
     return max(constraints.items(), key=lambda item: (item[1].agrees, item[1].log_det))
 
 
-def _combined(edges: Sequence[Edge], poses: Matrix, weight: Weight) -> _Constraint:
-    """What edges between the same two poses know together."""
+def _combined(edges: Sequence[Edge], poses: Matrix, information_of: InformationOf) -> _Constraint:
+    """Edges between the same two poses as one constraint."""
     known = Pose2(*poses[edges[0].i]).between(Pose2(*poses[edges[0].j]))
     total, pull, matched = _RIDGE * np.eye(3), np.zeros(3), np.zeros((3, 3))
     for edge in edges:
-        information = weight(edge)
+        information = information_of(edge)
         total = total + information
         if edge.kind != "odometry":
             matched = matched + information

@@ -53,7 +53,7 @@ class MatchConfig(BaseModel):
         1.07, gt=0, description="factor on the covariance that range noise alone explains"
     )
     floor_trans: float = Field(0.0003, ge=0, description="m, bias that no number of beams removes")
-    floor_rot: float = Field(0.00025, ge=0, description="rad, the same for the heading")
+    floor_rot: float = Field(0.00025, ge=0, description="rad, bias of the heading that stays")
 
     @cached_property
     def passes_with_prior(self) -> Matrix:

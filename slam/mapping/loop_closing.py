@@ -249,7 +249,7 @@ class LoopCloser:
         edge = Edge("loop", place.anchor, newest.index, result.target_T_source, result.information)
         error = Pose2.Logmap(place.predicted.between(result.target_T_source))
         # The match counts with what the graph will give it, not with its bare range noise.
-        information = graph.weight(edge)
+        information = graph.information(edge)
         chi_square = mahalanobis(error, place.covariance, information)
         gain = 0.5 * float(np.linalg.slogdet(np.eye(3) + place.covariance @ information)[1])
         return LoopCandidate(edge, closure, stamp_ns, newest.travelled_m, chi_square, gain)
@@ -303,8 +303,8 @@ class LoopCloser:
         back = new.inverse().AdjointMap()
         covariance = (
             new_cov
-            + np.linalg.inv(graph.weight(b) + 1e-6 * np.eye(3))
-            + back @ np.linalg.inv(graph.weight(a) + 1e-6 * np.eye(3)) @ back.T
+            + np.linalg.inv(graph.information(b) + 1e-6 * np.eye(3))
+            + back @ np.linalg.inv(graph.information(a) + 1e-6 * np.eye(3)) @ back.T
             + bridge @ old_cov @ bridge.T
         )
         return float(error @ np.linalg.solve(covariance, error)) < self._limit

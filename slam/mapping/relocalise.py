@@ -80,7 +80,7 @@ def relocalise(
     assert best.result is not None
     edge = Edge("icp", anchor, len(graph), best.result.target_T_source, best.result.information)
     # In a corridor the position along it would stay open.
-    return edge if well_constrained(graph.weight(edge), ELSEWHERE_M) else None
+    return edge if well_constrained(graph.information(edge), ELSEWHERE_M) else None
 
 
 def _places(poses: Matrix, start: Pose2 | None) -> list[int]:

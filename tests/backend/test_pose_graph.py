@@ -179,15 +179,15 @@ def test_the_models_error_widens_a_match_but_not_the_odometry():
     graph = PoseGraph(Pose2(), GraphConfig(match_sigma_trans=0.02, match_sigma_rot=0.01))
     information = np.array([[900.0, 300.0, 50.0], [300.0, 500.0, -80.0], [50.0, -80.0, 3000.0]])
     widened = np.linalg.inv(np.linalg.inv(information) + np.diag([4e-4, 4e-4, 1e-4]))
-    found = graph.weight(Edge("icp", 0, 1, Pose2(), information))
+    found = graph.information(Edge("icp", 0, 1, Pose2(), information))
     np.testing.assert_allclose(found, widened, rtol=1e-9)
-    kept = graph.weight(Edge("odometry", 0, 1, Pose2(), information))
+    kept = graph.information(Edge("odometry", 0, 1, Pose2(), information))
     np.testing.assert_array_equal(kept, information)
 
 
 def test_a_blind_axis_stays_blind_when_widened():
     graph = PoseGraph(Pose2(), GraphConfig())
-    weight = graph.weight(Edge("icp", 0, 1, Pose2(), np.diag([0.0, 1e4, 1e5])))
+    weight = graph.information(Edge("icp", 0, 1, Pose2(), np.diag([0.0, 1e4, 1e5])))
     assert abs(weight[0]).max() < 1e-9
     assert np.linalg.eigvalsh(weight)[0] >= -1e-9
 

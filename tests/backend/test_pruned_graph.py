@@ -44,7 +44,7 @@ def chain():
 
 
 def test_a_chain_without_its_middle_says_what_the_whole_chain_said():
-    left = prune(chain(), rows(POSES), [1, 2], FactorMaker(CONFIG).weight)
+    left = prune(chain(), rows(POSES), [1, 2], FactorMaker(CONFIG).information)
     assert left.untouched == []
     (edge,) = left.edges
     assert (edge.kind, edge.i, edge.j) == ("icp", 0, 1)  # under the new indices
@@ -57,7 +57,7 @@ def test_a_chain_without_its_middle_says_what_the_whole_chain_said():
 def test_disagreeing_edges_are_weighed_by_what_they_know():
     a = told("odometry", 0, 1, information=WHEELS, error=(0.02, 0.0, 0.0))
     b = told("icp", 0, 1, error=(-0.001, 0.0, 0.0))
-    left = prune([a, b, told("icp", 1, 2)], rows(POSES), [1], FactorMaker(CONFIG).weight)
+    left = prune([a, b, told("icp", 1, 2)], rows(POSES), [1], FactorMaker(CONFIG).information)
     found = POSES[0].between(POSES[2]).between(left.edges[0].i_T_j)
     maker = FactorMaker(CONFIG)
     graph, values = gtsam.NonlinearFactorGraph(), values_of(rows(POSES[:3]))
@@ -72,7 +72,7 @@ def test_disagreeing_edges_are_weighed_by_what_they_know():
 def test_the_neighbour_that_knows_best_hands_on_and_the_nearest_keeps_the_place():
     vague = told("icp", 1, 2, information=np.diag([50.0, 50.0, 500.0]))
     edges = [told("icp", 0, 1), vague, told("loop", 0, 2), told("icp", 2, 3)]
-    left = prune(edges, rows(POSES), [2], FactorMaker(CONFIG).weight)
+    left = prune(edges, rows(POSES), [2], FactorMaker(CONFIG).information)
     assert left.untouched == edges[:1]
     (made,) = left.made
     assert (made.i, made.j, made.kind) == (0, 2, "icp")
@@ -84,14 +84,14 @@ def test_the_neighbour_that_knows_best_hands_on_and_the_nearest_keeps_the_place(
 def test_a_closure_that_the_graph_contradicts_hands_nothing_on():
     false = told("loop", 0, 2, information=10.0 * MATCH, error=(1.5, 0.0, 0.0))
     edges = [told("icp", 0, 1), told("icp", 1, 2), false, told("icp", 2, 3)]
-    left = prune(edges, rows(POSES), [2], FactorMaker(CONFIG).weight)
+    left = prune(edges, rows(POSES), [2], FactorMaker(CONFIG).information)
     assert left.made[0].i == 1
     assert left.made[0].i_T_j.equals(POSES[1].between(POSES[3]), 1e-6)
 
 
 def test_a_closure_to_a_pose_that_goes_ends_at_its_anchor_and_stays_a_closure():
     edges = [told("icp", 0, 1), told("icp", 1, 2), told("icp", 2, 3), told("loop", 1, 3)]
-    left = prune(edges, rows(POSES), [1], FactorMaker(CONFIG).weight)
+    left = prune(edges, rows(POSES), [1], FactorMaker(CONFIG).information)
     assert [(e.kind, e.i, e.j) for e in left.edges] == [
         ("icp", 1, 2),
         ("icp", 0, 1),
@@ -103,14 +103,16 @@ def test_a_closure_to_a_pose_that_goes_ends_at_its_anchor_and_stays_a_closure():
 def test_where_the_wheels_alone_tell_the_new_edge_is_as_open_to_doubt_as_their_word():
     blind = told("icp", 1, 2, information=np.diag([0.0, 1e4, 1e5]))
     edges = [told("icp", 0, 1), blind, told("odometry", 1, 2, information=WHEELS)]
-    assert prune(edges, rows(POSES), [1], FactorMaker(CONFIG).weight).made[0].kind == "odometry"
+    assert (
+        prune(edges, rows(POSES), [1], FactorMaker(CONFIG).information).made[0].kind == "odometry"
+    )
     sure = [told("icp", 0, 1), told("icp", 1, 2), told("odometry", 1, 2, information=WHEELS)]
-    assert prune(sure, rows(POSES), [1], FactorMaker(CONFIG).weight).made[0].kind == "icp"
+    assert prune(sure, rows(POSES), [1], FactorMaker(CONFIG).information).made[0].kind == "icp"
 
 
 def test_an_edge_that_is_blind_on_an_axis_hands_on_what_it_sees():
     edges = [told("icp", 0, 1, information=np.diag([0.0, 1e4, 1e5])), told("icp", 1, 2)]
-    (edge,) = prune(edges, rows(POSES), [1], FactorMaker(CONFIG).weight).made
+    (edge,) = prune(edges, rows(POSES), [1], FactorMaker(CONFIG).information).made
     assert np.linalg.eigvalsh(edge.information)[0] < 1.0
     assert np.linalg.eigvalsh(edge.information)[-1] > 1e3
 
