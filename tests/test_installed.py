@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -96,3 +97,19 @@ def test_the_command_runs_in_a_folder_that_holds_the_names_of_our_parts(installe
     assert "online" in run(installed, "slam", "--help", cwd=tmp_path)
     assert "office" in run(installed, "slam", "simulate", "list", cwd=tmp_path)
     assert "sdp-slam 0." in run(installed, "slam", "--version", cwd=tmp_path)
+
+
+def test_every_dependency_has_a_lower_bound_to_test_with():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    needs = {
+        *project["dependencies"],
+        *(n for e in extras if e not in ("dev", "fuzz") for n in extras[e]),
+    }
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tests" / "lowest_versions.py"), str(ROOT / "pyproject.toml")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found = done.stdout.split()
+    assert len(found) == len(needs)
+    assert "numpy==2.0.*" in found

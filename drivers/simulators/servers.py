@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import socket
@@ -250,9 +251,17 @@ def _read(read: Callable[[], bytes]) -> bytes | None:
 class SimulatorServer:
     """Runs simulated devices in a thread; all of them share one time.  A context manager."""
 
-    def __init__(self, endpoints: Sequence[Endpoint], speed: float = 1.0) -> None:
-        """Let simulated time run `speed` times as fast as the wall's."""
+    def __init__(
+        self, endpoints: Sequence[Endpoint], speed: float = 1.0, most_step_s: float = math.inf
+    ) -> None:
+        """Let simulated time run `speed` times as fast as the wall's.
+
+        It goes on by `most_step_s` at most from one look at the devices to the next: a machine
+        that is held up then loses time, and `began_ns` its meaning, where devices would else
+        send all that is due at once.
+        """
         self._endpoints, self._speed = tuple(endpoints), speed
+        self._most_step_s, self._held_up_s = most_step_s, 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulators", daemon=True)
         self._began = time.monotonic()
@@ -260,7 +269,7 @@ class SimulatorServer:
     @property
     def now_s(self) -> float:
         """Seconds of simulation."""
-        return (time.monotonic() - self._began) * self._speed
+        return (time.monotonic() - self._began) * self._speed - self._held_up_s
 
     @property
     def began_ns(self) -> int:
@@ -284,10 +293,13 @@ class SimulatorServer:
             self._thread.join()
 
     def _run(self) -> None:
+        before_s = 0.0
         while not self._stop.is_set():
             waiting = [fd for endpoint in self._endpoints for fd in endpoint.descriptors()]
             select.select(waiting, [], [], _TICK_S)
+            self._held_up_s += max(0.0, self.now_s - before_s - self._most_step_s)
             for endpoint in self._endpoints:
-                endpoint.service(self.now_s)
+                before_s = self.now_s
+                endpoint.service(before_s)
         for endpoint in self._endpoints:
             endpoint.close()

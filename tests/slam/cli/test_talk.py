@@ -40,7 +40,7 @@ def test_quiet_leaves_the_talk_out_and_not_the_file(tmp_path):
         words = [option] if option else []
         done = run(*words, "simulate", "testbed-180cm", "--out", str(out))
         assert done.exit_code == 0
-        assert bool(done.stderr) == talk
+        assert bool(done.output) == talk
         assert out.exists()
     assert run("-q", "-v", "info", "x").exit_code == 2
 

@@ -84,7 +84,7 @@ def test_init_writes_what_it_knows_and_replaces_nothing(tmp_path, monkeypatch):
     words = ["init", str(tmp_path / "nothing"), "--mount-x", "0.2", "--systemd", "slam.service"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 1  # neither device was found
-    assert "still lacks the port of the p3dx, the port of the laser" in done.stderr
+    assert "still lacks the port of the p3dx, the port of the laser" in done.output
     assert "x = 0.2" in (tmp_path / "robot.toml").read_text()
     again = CliRunner().invoke(app, words)
     assert isinstance(again.exception, RunError)
