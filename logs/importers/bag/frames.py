@@ -49,6 +49,8 @@ class Link:
     static: bool
     last: Matrix
     values: list[Matrix] = field(default_factory=list)  # the first few different ones
+    raw: tuple[float, ...] = ()  # the numbers of the last statement
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y, theta of it
     count: int = 0
     spread_m: float = 0.0  # against the first value, in the plane
     spread_rad: float = 0.0
@@ -78,14 +80,19 @@ class Link:
             self.values.append(matrix)
         self.last = matrix
         x, y, yaw = matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])
+        self.pose = (float(x), float(y), yaw)
         first = self.values[0]
         turned = math.remainder(yaw - math.atan2(first[1, 0], first[0, 0]), math.tau)
         self.spread_m = max(self.spread_m, math.hypot(x - first[0, 3], y - first[1, 3]))
         self.spread_rad = max(self.spread_rad, abs(turned))
         if keep and not self.static:
-            self.stamps.append(stamp_ns)
-            self.receipts.append(receipt_ns)
-            self.poses.extend((x, y, yaw))
+            self.keep(stamp_ns, receipt_ns)
+
+    def keep(self, stamp_ns: int, receipt_ns: int) -> None:
+        """Note that the pose last stated was sent at this time."""
+        self.stamps.append(stamp_ns)
+        self.receipts.append(receipt_ns)
+        self.poses.extend(self.pose)
 
 
 class FrameTree:
@@ -100,11 +107,18 @@ class FrameTree:
     def add(self, transform: Any, static: bool, receipt_ns: int) -> None:
         """Take in a geometry_msgs/TransformStamped."""
         parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
+        link = self.links.get((parent, child))
+        raw = _numbers(transform.transform)
+        if link is not None and not link.static and raw == link.raw:
+            self._samples += 1  # most are sent again and again as they are
+            link.count += 1
+            if self._keeps(link):
+                link.keep(stamp_of(transform.header.stamp), receipt_ns)
+            return
         matrix = matrix_of(transform.transform.translation, transform.transform.rotation)
         if matrix is None or parent == child:
             self.refused += 1
             return
-        link = self.links.get((parent, child))
         if link is None:
             if len(self.links) >= _LINKS_LIMIT:
                 return
@@ -115,6 +129,7 @@ class FrameTree:
             # tf2 keeps a frame as it was first sent; what a link is sent as later is the same.
             static = link.static
         self._samples += not static
+        link.raw = raw
         link.add(matrix, stamp_of(transform.header.stamp), receipt_ns, self._keeps(link))
 
     def _keeps(self, link: Link) -> bool:
@@ -253,6 +268,11 @@ def planar(matrix: Matrix) -> Mount:
     theta = math.atan2(matrix[1, 0], matrix[0, 0])  # where the laser's x axis points
     tilt = math.acos(min(1.0, abs(float(matrix[2, 2]))))
     return Mount(float(matrix[0, 3]), float(matrix[1, 3]), theta, upside_down, tilt)
+
+
+def _numbers(transform: Any) -> tuple[float, ...]:
+    t, q = transform.translation, transform.rotation
+    return t.x, t.y, t.z, q.x, q.y, q.z, q.w
 
 
 def _same(a: Matrix, b: Matrix) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from array import array
 from collections import Counter
 from dataclasses import dataclass, field
@@ -43,6 +44,7 @@ class Stream:
     frame_numbers: array[int] = field(default_factory=lambda: array("H"))  # places in `frames`
     poses: array[float] = field(default_factory=lambda: array("d"))  # x, y, theta of odometry
     flaws: dict[int, str] = field(default_factory=dict)  # messages that cannot be used, and why
+    digests: array[int] = field(default_factory=lambda: array("L"))  # of what scans measured
     turned: int = 0  # scans whose increment contradicts their end angle
 
     @property
@@ -149,6 +151,8 @@ def _add_scan(stream: Stream, message: Any, receipt_ns: int) -> None:
     elif is_turned(message):
         stream.turned += 1
     stream.add(message.header, receipt_ns, flaw)
+    plain_ranges = isinstance(message.ranges, np.ndarray)
+    stream.digests.append(zlib.crc32(message.ranges.tobytes()) if plain_ranges else stream.count)
 
 
 def is_turned(message: Any) -> bool:

@@ -50,7 +50,8 @@ def choose_mount(
         hanging = ", hanging upside down as the transforms say" if stated.upside_down else ""
         said.notes.append(f"laser at {mount_in_words(*stated[:3])}, as --mount says{hanging}")
         return base or laser, stated
-    if path is None:
+    stated = laser in (odometry.child, plain(wishes.base)) if odometry else True
+    if path is None or (base == laser and not stated):
         return base, _without_path(tree, laser, base, odometry, said)
     mount = planar(along(path, base))
     _note_conflicts(tree, path, said)
@@ -82,7 +83,7 @@ def _base(
     named = [f for f in sorted(robot) if _base_rank(f, laser) is not None]
     if named:
         base = min(named, key=lambda f: (_base_rank(f, laser), f))
-        if moved and wishes.mount is None:
+        if moved and wishes.mount is None and leaf(moved) != leaf(base):
             said.warnings.append(
                 f"no transform leads from {shown(moved)}, which the odometry moves, to "
                 f"{shown(laser)}: {shown(base)} is taken for it; --base or --mount say otherwise"
@@ -134,7 +135,7 @@ def _without_path(
     tree: FrameTree, laser: str, base: str, odometry: Odometry | None, said: Said
 ) -> Mount:
     """Find the mount where nothing fast leads from the base to the laser."""
-    if steady := _over_moving_links(tree, base, laser, said):
+    if base != laser and (steady := _over_moving_links(tree, base, laser, said)):
         return steady
     if odometry is None:
         said.notes.append("no transform to the laser: the map is made from the laser's own place")
@@ -142,9 +143,10 @@ def _without_path(
     moving = _moving_between(tree, base, laser)
     if moving is not None:
         raise LogError(_moves(moving, base, laser))
+    from_ = (base != laser and shown(base)) or "the base"
     frames = f"; frames: {listed(tree.frames)}" if tree.frames else ""
     said.warnings.append(
-        f"no transform from {shown(base) or 'the base'} to {shown(laser) or 'the laser'}: the "
+        f"no transform from {from_} to {shown(laser) or 'the laser'}: the "
         f"laser is taken to sit on it, which bends every turn if it does not: {_HINT}{frames}"
     )
     return Mount(0.0, 0.0, 0.0)

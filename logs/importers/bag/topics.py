@@ -231,6 +231,9 @@ def from_link(link: Link) -> Odometry:
     """Return the odometry that a link of /tf amounts to."""
     stamps, receipts = np.array(link.stamps, np.int64), np.array(link.receipts, np.int64)
     poses = np.array(link.poses, dtype=np.float64).reshape(-1, 3)
+    # Some programs send a transform anew until there is another: with the stamp it had.
+    fresh = np.concatenate([[True], np.diff(stamps) != 0]) if len(stamps) else stamps == 0
+    stamps, receipts, poses = stamps[fresh], receipts[fresh], poses[fresh]
     far = np.flatnonzero(np.abs(poses[:, :2]).max(axis=1) > 1e8)
     flaws = {int(k): "odometry where no robot can have driven" for k in far}
     name = f"/tf {shown(link.parent)} -> {shown(link.child)}"
