@@ -6,10 +6,11 @@ import math
 from array import array
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from slam.logs.importers.bag.names import is_odom, is_world, plain
+from slam.logs.importers.bag.transforms import Matrix, matrix_of, stamp_of
 
 TILT_RAD = math.radians(10.0)
 """A laser tilted by more than this does not scan a plane along the floor."""
@@ -20,24 +21,9 @@ FAST_M, FAST_RAD = 5e-3, math.radians(0.5)
 SAME_M, SAME_RAD = 1e-4, 1e-4
 """Two statements of one place that differ by more contradict each other."""
 
-WORLD_FRAMES = ("map", "world", "earth", "utm", "gps", "global", "ground_truth", "mocap", "vicon")
-"""Last parts of frames that stand for the building: what leads from them is no odometry."""
-
 _LINKS_LIMIT = 1000  # a bag is somebody else's
 _SAMPLES_LIMIT = 4_000_000  # of all links together, 40 bytes each
 _VALUES_KEPT = 4  # different values of a link; more mean that it moves
-
-Matrix = NDArray[np.float64]
-
-
-class Mount(NamedTuple):
-    """`base_T_laser` in the plane; a laser that hangs upside down turns the other way."""
-
-    x: float  # m
-    y: float  # m
-    theta: float  # rad
-    upside_down: bool = False
-    tilt: float = 0.0  # rad, of the laser's axis against the base's
 
 
 @dataclass(slots=True)
@@ -201,73 +187,6 @@ def along(path: list[Link], start: str) -> Matrix:
         matrix = matrix @ (link.last if forward else np.linalg.inv(link.last))
         start = link.child if forward else link.parent
     return matrix
-
-
-def plain(frame: str) -> str:
-    """Return a frame's name without the leading slash that ROS 1 programs wrote."""
-    return frame.strip().strip("/")
-
-
-def leaf(frame: str) -> str:
-    """Return the last part of a frame's or topic's name."""
-    return frame.rpartition("/")[2]
-
-
-def prefix(frame: str) -> str:
-    """Return what stands before the last part: the robot, where there are several."""
-    return plain(frame).rpartition("/")[0]
-
-
-def is_odom(frame: str) -> bool:
-    """Whether a frame is one that odometry counts in, by its name."""
-    return "odom" in leaf(frame).lower()
-
-
-def is_world(frame: str) -> bool:
-    """Whether a frame stands for the building, by its name."""
-    name = leaf(frame).lower()
-    return name in WORLD_FRAMES or name.endswith(("_map", "_world"))
-
-
-def stamp_of(stamp: Any) -> int:
-    """Return a builtin_interfaces/Time as nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def yaw_of(rotation: Any) -> float:
-    """Return the heading of a geometry_msgs/Quaternion (rad); nan if it is none."""
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
-    square = x * x + y * y + z * z + w * w
-    if not (math.isfinite(square) and square > 1e-12):
-        return math.nan
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-def matrix_of(translation: Any, rotation: Any) -> Matrix | None:
-    """Return a 4x4 transform, None if it is not finite or not a rotation."""
-    q = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
-    t = np.array([translation.x, translation.y, translation.z])
-    with np.errstate(over="ignore", invalid="ignore"):
-        norm = float(q @ q)
-    if not (np.isfinite(t).all() and math.isfinite(norm) and norm > 1e-12):
-        return None
-    x, y, z, w = q / math.sqrt(norm)
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, 3] = t
-    return matrix
-
-
-def planar(matrix: Matrix) -> Mount:
-    """Return where a frame sits in the plane of another."""
-    upside_down = bool(matrix[2, 2] < 0.0)
-    theta = math.atan2(matrix[1, 0], matrix[0, 0])  # where the laser's x axis points
-    tilt = math.acos(min(1.0, abs(float(matrix[2, 2]))))
-    return Mount(float(matrix[0, 3]), float(matrix[1, 3]), theta, upside_down, tilt)
 
 
 def _numbers(transform: Any) -> tuple[float, ...]:

@@ -14,7 +14,9 @@ from slam.logs.errors import shown
 from slam.logs.importers.bag.channels import Account, Channel
 from slam.logs.importers.bag.decode import Decoder, MalformedError
 from slam.logs.importers.bag.files import Bag
-from slam.logs.importers.bag.frames import FrameTree, plain, stamp_of, yaw_of
+from slam.logs.importers.bag.frames import FrameTree
+from slam.logs.importers.bag.names import plain
+from slam.logs.importers.bag.transforms import stamp_of, yaw_of
 from slam.logs.schemas import STAMP_LIMIT
 
 SCAN = "sensor_msgs/msg/LaserScan"

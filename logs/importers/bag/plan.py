@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from slam.logs.errors import LogError, shown
 from slam.logs.importers.bag import clocks, wheels
 from slam.logs.importers.bag.clocks import Stamped
-from slam.logs.importers.bag.frames import Mount
 from slam.logs.importers.bag.inventory import Inventory, Stream
 from slam.logs.importers.bag.mounts import choose_mount
-from slam.logs.importers.bag.topics import Odometry, Said, choose_odometry, choose_scan
+from slam.logs.importers.bag.odometry import Odometry
+from slam.logs.importers.bag.topics import Said, choose_odometry, choose_scan
+from slam.logs.importers.bag.transforms import Mount
 from slam.logs.importers.drives import pick_drive
 from slam.logs.importers.wishes import Wishes, check_span
 from slam.logs.messages import WheelOdometry
