@@ -573,3 +573,19 @@ def test_a_transform_that_is_sent_again_and_again_counts_once(read):
         items += [("/tf", TF, t + n, ROS2.tf(t, "odom", "base_link", 0.1 * k)) for n in range(3)]
         items.append(("/scan", SCAN, t + 5, ROS2.scan(t, room())))
     assert read(items).is_drive()
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_bags_compressed_as_a_whole_or_message_by_message(tmp_path: Path, mode: str):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    path = tmp_path / "bag"
+    writer = Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        known = {}
+        for topic, kind, receipt, message in drive():
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=bags.STORE)
+            writer.write(known[topic], receipt, bags.STORE.serialize_cdr(message, kind))
+    assert Read(path).is_drive()

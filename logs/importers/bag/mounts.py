@@ -37,8 +37,8 @@ def choose_mount(
         hanging = ", hanging upside down as the transforms say" if stated.upside_down else ""
         said.notes.append(f"laser at {mount_in_words(*stated[:3])}, as --mount says{hanging}")
         return base or laser, stated
-    stated = laser in (odometry.child, plain(wishes.base)) if odometry else True
-    if path is None or (base == laser and not stated):
+    known = laser in (odometry.child, plain(wishes.base)) if odometry else True
+    if path is None or (base == laser and not known):
         return base, _without_path(tree, laser, base, odometry, said)
     mount = planar(along(path, base))
     _note_conflicts(tree, path, said)
