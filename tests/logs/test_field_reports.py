@@ -589,3 +589,19 @@ def test_bags_compressed_as_a_whole_or_message_by_message(tmp_path: Path, mode: 
                 known[topic] = writer.add_connection(topic, kind, typestore=bags.STORE)
             writer.write(known[topic], receipt, bags.STORE.serialize_cdr(message, kind))
     assert Read(path).is_drive()
+
+
+def test_a_laser_that_turns_is_no_odometry(read):
+    items = [i for i in turning_laser(np.linspace(0.0, 1.0, 20)) if i[0] != "/odom"]
+    for k in range(20):
+        t = START + k * STEP
+        items.append(("/tf", TF, t, ROS2.tf(t, "odom", "base_link", 0.1 * k)))
+    with pytest.raises(LogError, match="laser moves on the robot"):
+        read(items)
+    got = read(items, mount=(0.2, 0.0, 0.3))
+    assert got.x == pytest.approx([0.1 * k for k in range(20)])
+
+
+def test_nothing_is_named_at_all(read):
+    (warning,) = read(drive(child="", laser="", mount=None)).log.warnings
+    assert "no transform from the base to the laser" in warning

@@ -37,7 +37,7 @@ def choose_mount(
         hanging = ", hanging upside down as the transforms say" if stated.upside_down else ""
         said.notes.append(f"laser at {mount_in_words(*stated[:3])}, as --mount says{hanging}")
         return base or laser, stated
-    known = laser in (odometry.child, plain(wishes.base)) if odometry else True
+    known = odometry is None or laser in {odometry.child, plain(wishes.base)} - {""}
     if path is None or (base == laser and not known):
         return base, _without_path(tree, laser, base, odometry, said)
     mount = planar(along(path, base))

@@ -182,14 +182,11 @@ def transform_odometry(tree: FrameTree, laser: str, said: Said) -> Link | None:
 
     A link from the building's frame is a localiser's and is left alone.
     """
-    robot = tree.fast_with(laser)
-    links = [
-        link
-        for link in tree.links.values()
-        if link.child in robot and link.parent not in robot and link.stamps
-        and not is_world(link.parent)
-    ]  # fmt: skip
-    links.sort(key=lambda link: (not is_odom(link.parent), -link.count, link.parent, link.child))
+    links = _links_to(tree, tree.fast_with(laser))
+    if links and not is_odom(links[0].parent):
+        # A laser that turns on the robot: the odometry is what moves the frame that it turns on.
+        above = [n for link in links for n in _links_to(tree, tree.fast_with(link.parent))]
+        links = [link for link in above if is_odom(link.parent)] or links
     if not links:
         return None
     chosen = links[0]
@@ -202,6 +199,17 @@ def transform_odometry(tree: FrameTree, laser: str, said: Said) -> Link | None:
             f"odometry{more}"
         )
     return chosen
+
+
+def _links_to(tree: FrameTree, robot: set[str]) -> list[Link]:
+    """Return the links of /tf that may move a set of frames, most likely odometry first."""
+    links = [
+        link
+        for link in tree.links.values()
+        if link.child in robot and link.parent not in robot and link.stamps
+        and not is_world(link.parent)
+    ]  # fmt: skip
+    return sorted(links, key=lambda n: (not is_odom(n.parent), -n.count, n.parent, n.child))
 
 
 def listed(names: object) -> str:
