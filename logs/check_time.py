@@ -17,11 +17,8 @@ DRIFT_LEAST_S = 60.0  # no drift is judged over less time
 LATE_S = 0.5
 EARLY_S = 0.01  # by less a scan at full speed is a centimetre off
 STEP_S = 0.25  # of the clock, between two windows
-APART_S = 2.0  # clocks of laser and robot farther apart give no odometry at a scan
-NOTABLE_APART_S = 0.25  # at 0.5 m/s a scan is taken 12 cm from where it was
 SLOW_SCAN_HZ = 1.0
 
-_SAMPLES = 256  # enough for a median
 _WINDOWS = 1024  # kept at most; their width doubles when there are more
 _WINDOW_S = 1.0
 
@@ -179,32 +176,3 @@ class ReceiptCheck:
                 f"messages are received up to {seconds(-self._delays.least)} before their stamp: "
                 "the clocks do not agree",
             )  # fmt: skip
-
-
-class ClocksCheck:
-    """Whether laser and robot were stamped by clocks that agree, judged by times of receipt."""
-
-    def __init__(self) -> None:
-        self._apart = Sampled(_SAMPLES)  # s by which the odometry's clock is ahead
-        self._odometry: tuple[int, int] | None = None  # receipt, stamp of the last
-
-    def feed_odometry(self, receipt_ns: int, stamp_ns: int) -> None:
-        """Take in one odometry message's times."""
-        self._odometry = receipt_ns, stamp_ns
-
-    def feed_scan(self, receipt_ns: int, stamp_ns: int) -> None:
-        """Take in one scan's times."""
-        if self._odometry is not None:
-            receipt, stamp = self._odometry
-            self._apart.add(((stamp - stamp_ns) - (receipt - receipt_ns)) * 1e-9)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield what is odd; nothing where times of receipt were not logged."""
-        apart = self._apart.median
-        if not abs(apart) > NOTABLE_APART_S:
-            return
-        yield Finding(
-            "error" if abs(apart) > APART_S else "warning", "clocks-apart", "/odom",
-            f"clocks of /scan and /odom differ by {abs(apart):.4g} s, judged by the times of "
-            "receipt: set them, or import the recording with --use-receipt-time",
-        )  # fmt: skip

@@ -20,9 +20,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from slam.logs.check_clocks import ClocksCheck
 from slam.logs.check_motion import MountCheck, OdometryCheck
 from slam.logs.check_scans import ScanCheck
-from slam.logs.check_time import ClocksCheck, ReceiptCheck, StampCheck
+from slam.logs.check_time import ReceiptCheck, StampCheck
 from slam.logs.errors import shown
 from slam.logs.findings import SEVERITIES, Finding, Severity
 from slam.logs.info import recording_losses

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slam.logs.errors import LogError
 from slam.logs.importers import aria, g2o_scans
-from slam.logs.importers.bag.files import is_bag
+from slam.logs.importers.bag.files import ROS1_MAGICS, is_bag
 from slam.logs.importers.bag.mcap import channel_of, open_mcap, require_ros
 from slam.logs.importers.breezyslam import looks_like_breezyslam, read_breezyslam
 from slam.logs.importers.carmen import KINDS, read_carmen
@@ -45,6 +45,7 @@ def read_any(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog | Str
             cannot be read without an answer in `wishes`.
     """
     path = Path(path)
+    _refuse_run(path)
     start = _start_of(path)
     if start.startswith(MAGIC[:6]):
         _require_foreign(path)
@@ -58,8 +59,13 @@ def read_any(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog | Str
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether a file or folder is none of our logs, as far as its beginning tells."""
+    """Whether a file or folder is none of our logs, as far as its beginning tells.
+
+    Raises:
+        LogError: it is a RUN.
+    """
     if path.is_dir():
+        _refuse_run(path)
         return True
     start = _start_of(path)
     if not start.startswith(MAGIC[:6]):
@@ -69,6 +75,11 @@ def is_foreign(path: Path) -> bool:
     except LogError:
         return False
     return True
+
+
+def _refuse_run(path: Path) -> None:
+    if path.is_dir() and (path / "run.mcap").is_file():
+        raise LogError(f"{path}: is a RUN, not a recording: its log is {path / 'run.mcap'}")
 
 
 def _require_foreign(path: Path) -> None:
@@ -126,6 +137,8 @@ def _read_graph(path: Path, wishes: Wishes) -> ImportedLog:
 def _named(path: Path) -> str:
     """Return what a file is that cannot be read, and the way round, empty if nobody knows."""
     start = b"".join(islice(lines(path, Counter()), 3))[:4096]
+    if start.startswith((*ROS1_MAGICS, b"SQLite format 3", MAGIC[:6])):
+        return "a recording that was packed with gzip: unpack it first"
     if any(name in start for name in _MRPT_CLASSES):
         return (
             "a rawlog of MRPT, which cannot be read: `rawlog-edit --export-2d-scans-txt` and "

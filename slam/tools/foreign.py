@@ -11,9 +11,10 @@ import numpy as np
 from slam.logs.errors import LogError, shown
 from slam.logs.importers.bag.decode import Decoder
 from slam.logs.importers.bag.files import Bag
-from slam.logs.importers.bag.frames import Link, planar
+from slam.logs.importers.bag.frames import Link
 from slam.logs.importers.bag.inventory import Inventory, Stream, take_inventory
 from slam.logs.importers.bag.plan import choose
+from slam.logs.importers.bag.transforms import planar
 from slam.logs.importers.detect import read_any
 from slam.logs.importers.wishes import Wishes, mount_in_words
 from slam.logs.messages import LaserScan, WheelOdometry

@@ -544,3 +544,64 @@ def test_a_mount_in_words_and_back():
     for bad in ("", "1,2", "a,b,c", "1,2,nan", "0.2,0,90"):
         with pytest.raises(ValueError, match=r"m, m and rad|finite|degrees"):
             parse_mount(bad)
+
+
+def test_what_was_recorded_twice_is_taken_once(read):
+    twice = [item for item in drive() for _ in range(2)]
+    got = read(twice)
+    assert got.is_drive()
+    assert got.log.changed == {"scans recorded twice, one kept": 20}
+
+
+def test_odometry_without_a_frame_and_no_transforms_is_a_guess(read):
+    got = read(drive(child="", mount=None))
+    (warning,) = got.log.warnings
+    assert "no transform from the base to laser" in warning
+    assert read(drive(child="laser", mount=None)).is_drive(mount=(0.0, 0.0, 0.0))
+    assert read(drive(child="", mount=None), base="laser").sound
+
+
+def test_a_base_whose_prefix_only_the_transforms_have_is_no_guess(read):
+    place = ("/tf_static", TF, START, ROS2.tf(START, "r1/base_link", "r1/laser", 0.2, 0.0, 0.3))
+    assert read([place, *drive(laser="r1/laser", mount=None)]).is_drive()
+
+
+def test_a_transform_that_is_sent_again_and_again_counts_once(read):
+    items = [("/tf_static", TF, START, ROS2.tf(START, "base_link", "laser", 0.2, 0.0, 0.3))]
+    for k in range(20):
+        t = START + k * STEP
+        items += [("/tf", TF, t + n, ROS2.tf(t, "odom", "base_link", 0.1 * k)) for n in range(3)]
+        items.append(("/scan", SCAN, t + 5, ROS2.scan(t, room())))
+    assert read(items).is_drive()
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_bags_compressed_as_a_whole_or_message_by_message(tmp_path: Path, mode: str):
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+    path = tmp_path / "bag"
+    writer = Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with writer:
+        known = {}
+        for topic, kind, receipt, message in drive():
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=bags.STORE)
+            writer.write(known[topic], receipt, bags.STORE.serialize_cdr(message, kind))
+    assert Read(path).is_drive()
+
+
+def test_a_laser_that_turns_is_no_odometry(read):
+    items = [i for i in turning_laser(np.linspace(0.0, 1.0, 20)) if i[0] != "/odom"]
+    for k in range(20):
+        t = START + k * STEP
+        items.append(("/tf", TF, t, ROS2.tf(t, "odom", "base_link", 0.1 * k)))
+    with pytest.raises(LogError, match="laser moves on the robot"):
+        read(items)
+    got = read(items, mount=(0.2, 0.0, 0.3))
+    assert got.x == pytest.approx([0.1 * k for k in range(20)])
+
+
+def test_nothing_is_named_at_all(read):
+    (warning,) = read(drive(child="", laser="", mount=None)).log.warnings
+    assert "no transform from the base to the laser" in warning

@@ -120,7 +120,7 @@ def forked(seeds: range, sources: list[Path], folder: Path) -> dict[str, object]
 def run(count: int, folder: Path, first: int = 0) -> dict[str, object]:
     """Import so many mutations; sums over all processes."""
     sources = [next(REAL.glob(pattern)) for pattern in SOURCES]
-    for source in sources[:1]:
+    for source in sources:
         one(source)  # what is loaded once is loaded before the limits are set
     results: Counter[str] = Counter()
     bad: list[str] = []

@@ -137,6 +137,14 @@ def test_what_cannot_be_read_is_named(tmp_path):
         file.write(b"\x93CObservation2DRangeScan\x06\x00\x01" + bytes(200))
     with pytest.raises(LogError, match="rawlog of MRPT, which cannot be read: `rawlog-edit"):
         read_any(rawlog)
+    with gzip.open(rawlog, "wb") as file:
+        file.write(b"#ROSBAG V2.0\n" + bytes(5000))
+    with pytest.raises(LogError, match="packed with gzip: unpack it first"):
+        read_any(rawlog)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.mcap").touch()
+    with pytest.raises(LogError, match="is a RUN, not a recording"):
+        read_any(tmp_path / "run")
     with pytest.raises(LogError, match="pose graph without scans: `slam reoptimise`"):
         read(tmp_path / "a.graph", "VERTEX2 0 0 0 0\nEDGE2 0 1 1 0 0 1 0 1 1 0 0\n")
 

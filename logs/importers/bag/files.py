@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
+import weakref
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,7 +38,7 @@ class Bag:
         """
         self.path = path
         self.missing: Counter[str] = Counter()
-        self.unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self._unpacked = ""  # folder of parts that were compressed as a whole
         files = self._parts() if path.is_dir() else [path]
         self.parts = [self._container(file) for file in files]
 
@@ -92,9 +94,10 @@ class Bag:
 
     def _unpack(self, file: Path) -> tuple[Path, bytes]:
         """Unpack a part that was compressed as a whole, into a folder that goes with this bag."""
-        if self.unpacked is None:
-            self.unpacked = tempfile.TemporaryDirectory()
-        target = Path(self.unpacked.name) / file.stem
+        if not self._unpacked:
+            self._unpacked = tempfile.mkdtemp()
+            weakref.finalize(self, shutil.rmtree, self._unpacked, True)
+        target = Path(self._unpacked) / file.stem
         try:
             with file.open("rb") as packed, target.open("wb") as plain:
                 zstandard.ZstdDecompressor().copy_stream(packed, plain)

@@ -6,10 +6,11 @@ import math
 from array import array
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from slam.logs.importers.bag.names import is_odom, is_world, plain
+from slam.logs.importers.bag.transforms import Matrix, matrix_of, stamp_of
 
 TILT_RAD = math.radians(10.0)
 """A laser tilted by more than this does not scan a plane along the floor."""
@@ -20,24 +21,9 @@ FAST_M, FAST_RAD = 5e-3, math.radians(0.5)
 SAME_M, SAME_RAD = 1e-4, 1e-4
 """Two statements of one place that differ by more contradict each other."""
 
-WORLD_FRAMES = ("map", "world", "earth", "utm", "gps", "global", "ground_truth", "mocap", "vicon")
-"""Last parts of frames that stand for the building: what leads from them is no odometry."""
-
 _LINKS_LIMIT = 1000  # a bag is somebody else's
 _SAMPLES_LIMIT = 4_000_000  # of all links together, 40 bytes each
 _VALUES_KEPT = 4  # different values of a link; more mean that it moves
-
-Matrix = NDArray[np.float64]
-
-
-class Mount(NamedTuple):
-    """`base_T_laser` in the plane; a laser that hangs upside down turns the other way."""
-
-    x: float  # m
-    y: float  # m
-    theta: float  # rad
-    upside_down: bool = False
-    tilt: float = 0.0  # rad, of the laser's axis against the base's
 
 
 @dataclass(slots=True)
@@ -49,6 +35,8 @@ class Link:
     static: bool
     last: Matrix
     values: list[Matrix] = field(default_factory=list)  # the first few different ones
+    raw: tuple[float, ...] = ()  # the numbers of the last statement
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)  # x, y, theta of it
     count: int = 0
     spread_m: float = 0.0  # against the first value, in the plane
     spread_rad: float = 0.0
@@ -78,14 +66,19 @@ class Link:
             self.values.append(matrix)
         self.last = matrix
         x, y, yaw = matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])
+        self.pose = (float(x), float(y), yaw)
         first = self.values[0]
         turned = math.remainder(yaw - math.atan2(first[1, 0], first[0, 0]), math.tau)
         self.spread_m = max(self.spread_m, math.hypot(x - first[0, 3], y - first[1, 3]))
         self.spread_rad = max(self.spread_rad, abs(turned))
         if keep and not self.static:
-            self.stamps.append(stamp_ns)
-            self.receipts.append(receipt_ns)
-            self.poses.extend((x, y, yaw))
+            self.keep(stamp_ns, receipt_ns)
+
+    def keep(self, stamp_ns: int, receipt_ns: int) -> None:
+        """Note that the pose last stated was sent at this time."""
+        self.stamps.append(stamp_ns)
+        self.receipts.append(receipt_ns)
+        self.poses.extend(self.pose)
 
 
 class FrameTree:
@@ -100,11 +93,18 @@ class FrameTree:
     def add(self, transform: Any, static: bool, receipt_ns: int) -> None:
         """Take in a geometry_msgs/TransformStamped."""
         parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
+        link = self.links.get((parent, child))
+        raw = _numbers(transform.transform)
+        if link is not None and not link.static and raw == link.raw:
+            self._samples += 1  # most are sent again and again as they are
+            link.count += 1
+            if self._keeps(link):
+                link.keep(stamp_of(transform.header.stamp), receipt_ns)
+            return
         matrix = matrix_of(transform.transform.translation, transform.transform.rotation)
         if matrix is None or parent == child:
             self.refused += 1
             return
-        link = self.links.get((parent, child))
         if link is None:
             if len(self.links) >= _LINKS_LIMIT:
                 return
@@ -115,6 +115,7 @@ class FrameTree:
             # tf2 keeps a frame as it was first sent; what a link is sent as later is the same.
             static = link.static
         self._samples += not static
+        link.raw = raw
         link.add(matrix, stamp_of(transform.header.stamp), receipt_ns, self._keeps(link))
 
     def _keeps(self, link: Link) -> bool:
@@ -188,71 +189,9 @@ def along(path: list[Link], start: str) -> Matrix:
     return matrix
 
 
-def plain(frame: str) -> str:
-    """Return a frame's name without the leading slash that ROS 1 programs wrote."""
-    return frame.strip().strip("/")
-
-
-def leaf(frame: str) -> str:
-    """Return the last part of a frame's or topic's name."""
-    return frame.rpartition("/")[2]
-
-
-def prefix(frame: str) -> str:
-    """Return what stands before the last part: the robot, where there are several."""
-    return plain(frame).rpartition("/")[0]
-
-
-def is_odom(frame: str) -> bool:
-    """Whether a frame is one that odometry counts in, by its name."""
-    return "odom" in leaf(frame).lower()
-
-
-def is_world(frame: str) -> bool:
-    """Whether a frame stands for the building, by its name."""
-    name = leaf(frame).lower()
-    return name in WORLD_FRAMES or name.endswith(("_map", "_world"))
-
-
-def stamp_of(stamp: Any) -> int:
-    """Return a builtin_interfaces/Time as nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def yaw_of(rotation: Any) -> float:
-    """Return the heading of a geometry_msgs/Quaternion (rad); nan if it is none."""
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
-    square = x * x + y * y + z * z + w * w
-    if not (math.isfinite(square) and square > 1e-12):
-        return math.nan
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-def matrix_of(translation: Any, rotation: Any) -> Matrix | None:
-    """Return a 4x4 transform, None if it is not finite or not a rotation."""
-    q = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
-    t = np.array([translation.x, translation.y, translation.z])
-    with np.errstate(over="ignore", invalid="ignore"):
-        norm = float(q @ q)
-    if not (np.isfinite(t).all() and math.isfinite(norm) and norm > 1e-12):
-        return None
-    x, y, z, w = q / math.sqrt(norm)
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, 3] = t
-    return matrix
-
-
-def planar(matrix: Matrix) -> Mount:
-    """Return where a frame sits in the plane of another."""
-    upside_down = bool(matrix[2, 2] < 0.0)
-    theta = math.atan2(matrix[1, 0], matrix[0, 0])  # where the laser's x axis points
-    tilt = math.acos(min(1.0, abs(float(matrix[2, 2]))))
-    return Mount(float(matrix[0, 3]), float(matrix[1, 3]), theta, upside_down, tilt)
+def _numbers(transform: Any) -> tuple[float, ...]:
+    t, q = transform.translation, transform.rotation
+    return t.x, t.y, t.z, q.x, q.y, q.z, q.w
 
 
 def _same(a: Matrix, b: Matrix) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from array import array
 from collections import Counter
 from dataclasses import dataclass, field
@@ -13,7 +14,9 @@ from slam.logs.errors import shown
 from slam.logs.importers.bag.channels import Account, Channel
 from slam.logs.importers.bag.decode import Decoder, MalformedError
 from slam.logs.importers.bag.files import Bag
-from slam.logs.importers.bag.frames import FrameTree, plain, stamp_of, yaw_of
+from slam.logs.importers.bag.frames import FrameTree
+from slam.logs.importers.bag.names import plain
+from slam.logs.importers.bag.transforms import stamp_of, yaw_of
 from slam.logs.schemas import STAMP_LIMIT
 
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -43,6 +46,7 @@ class Stream:
     frame_numbers: array[int] = field(default_factory=lambda: array("H"))  # places in `frames`
     poses: array[float] = field(default_factory=lambda: array("d"))  # x, y, theta of odometry
     flaws: dict[int, str] = field(default_factory=dict)  # messages that cannot be used, and why
+    digests: array[int] = field(default_factory=lambda: array("L"))  # of what scans measured
     turned: int = 0  # scans whose increment contradicts their end angle
 
     @property
@@ -149,6 +153,8 @@ def _add_scan(stream: Stream, message: Any, receipt_ns: int) -> None:
     elif is_turned(message):
         stream.turned += 1
     stream.add(message.header, receipt_ns, flaw)
+    plain_ranges = isinstance(message.ranges, np.ndarray)
+    stream.digests.append(zlib.crc32(message.ranges.tobytes()) if plain_ranges else stream.count)
 
 
 def is_turned(message: Any) -> bool:

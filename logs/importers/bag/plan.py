@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from slam.logs.errors import LogError, shown
 from slam.logs.importers.bag import clocks, wheels
 from slam.logs.importers.bag.clocks import Stamped
-from slam.logs.importers.bag.frames import Mount
 from slam.logs.importers.bag.inventory import Inventory, Stream
 from slam.logs.importers.bag.mounts import choose_mount
-from slam.logs.importers.bag.topics import Odometry, Said, choose_odometry, choose_scan
+from slam.logs.importers.bag.odometry import Odometry
+from slam.logs.importers.bag.topics import Said, choose_odometry, choose_scan
+from slam.logs.importers.bag.transforms import Mount
 from slam.logs.importers.drives import pick_drive
 from slam.logs.importers.wishes import Wishes, check_span
 from slam.logs.messages import WheelOdometry
@@ -101,6 +103,12 @@ def _scans(
         )
     if stream.kind.endswith("MultiEchoLaserScan"):
         choice.said.notes.append("multi-echo: first echo taken")
+    digests = np.array(stream.digests, dtype=np.int64)
+    again = _again(np.stack([stamps, digests], axis=1), stamps)
+    again[list(flaws)] = False
+    if again.any():
+        changed["scans recorded twice, one kept"] += int(again.sum())
+        flaws.update(dict.fromkeys(np.flatnonzero(again).tolist(), ""))
     stamped = clocks.effective(
         shown(stream.topic),
         stamps,
@@ -113,6 +121,13 @@ def _scans(
     if not stamped.usable.any():
         raise LogError(f"no usable scan: {sum(skipped.values())} x {next(iter(skipped))}")
     return stamped, receipts
+
+
+def _again(rows: NDArray[Any], stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which rows, (n, k), repeat the one before, whose stamp is the same and not zero."""
+    again = np.zeros(len(rows), dtype=np.bool_)
+    again[1:] = (rows[1:] == rows[:-1]).all(axis=1)
+    return again & (stamps > 0)
 
 
 class _Wheels:
@@ -128,8 +143,10 @@ class _Wheels:
         else:
             self.receipts, self.poses = odometry.receipts, odometry.poses
             skipped.update(odometry.flaws.values())
+            again = _again(np.column_stack([odometry.stamps, odometry.poses]), odometry.stamps)
+            unused = [*odometry.flaws, *np.flatnonzero(again).tolist()]
             self.stamped = clocks.effective(
-                odometry.name, odometry.stamps, odometry.receipts, list(odometry.flaws),
+                odometry.name, odometry.stamps, odometry.receipts, unused,
                 wishes.receipt_time, said, skipped,
             )  # fmt: skip
         self.kept = np.zeros(0, dtype=np.int64)  # rows, in file order

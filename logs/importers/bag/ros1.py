@@ -14,30 +14,28 @@ import struct
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 import lz4.frame  # type: ignore[import-untyped]
 from slam.logs.errors import LogError, shown
 from slam.logs.importers.bag.channels import Account, BagMessage, Channel, Wanted, ros2_name
+from slam.logs.importers.bag.ros1_records import (
+    BAD,
+    BAG,
+    CHUNK,
+    CONNECTION,
+    DEFINITION,
+    MESSAGE,
+    U32,
+    Record,
+    fields_of,
+    next_record,
+    read_at,
+    record_at,
+)
 
 MAGICS = {b"#ROSBAG V2.0\n": "2.0", b"#ROSRECORD V1.2\n": "1.2", b"#ROSBAG V1.2\n": "1.2"}
-HEADER_LIMIT = 1 << 20  # bytes: V1.2 puts definitions into headers
 CHUNK_LIMIT = 256 << 20  # bytes of a chunk when unpacked; recorders make 768 KiB
-_SEARCH_BLOCK = 1 << 16  # bytes looked through at a time for the next record
-_DEFINITION, _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(1, 8)
-_OP = b"\x04\x00\x00\x00op="  # every header has this field
-_U32 = struct.Struct("<I")
-_BAD = (struct.error, ValueError, KeyError, IndexError)
-
-
-class _Record(NamedTuple):
-    fields: dict[bytes, bytes]
-    data_at: int
-    length: int  # bytes of data
-
-    @property
-    def operation(self) -> int:
-        return self.fields[b"op"][0]
 
 
 class Ros1Bag:
@@ -88,9 +86,9 @@ class _Walk:
         at = start
         while at < end:
             try:
-                record = _record_at(file, at, end)
-            except _BAD:
-                following = _next_record(file, at + 1, end)
+                record = record_at(file, at, end)
+            except BAD:
+                following = next_record(file, at + 1, end)
                 cut = following >= end
                 cause = "rest of the bag: it is cut off" if cut else "damaged pieces of the bag"
                 self._account.skipped[cause] += 1
@@ -99,23 +97,23 @@ class _Walk:
             at = record.data_at + record.length
             yield from self._read(file, record, end)
 
-    def _read(self, file: IO[bytes], record: _Record, end: int) -> Iterator[BagMessage]:
+    def _read(self, file: IO[bytes], record: Record, end: int) -> Iterator[BagMessage]:
         operation = record.operation
         try:
-            if operation == _MESSAGE:
+            if operation == MESSAGE:
                 yield from self._message(file, record)
-            elif operation == _CHUNK:
+            elif operation == CHUNK:
                 yield from self._chunk(file, record)
-            elif operation == _CONNECTION:
-                inner = _fields_of(_read_at(file, record.data_at, record.length))
+            elif operation == CONNECTION:
+                inner = fields_of(read_at(file, record.data_at, record.length))
                 self._define(record.fields[b"conn"], record.fields[b"topic"], inner)
-            elif operation == _DEFINITION:
+            elif operation == DEFINITION:
                 topic = record.fields[b"topic"]
                 self._define(topic, topic, record.fields)
-            elif operation == _BAG:
+            elif operation == BAG:
                 (index_at,) = struct.unpack("<Q", record.fields[b"index_pos"])
                 self.closed = 0 < index_at <= end
-        except _BAD:
+        except BAD:
             self._account.skipped["damaged records"] += 1
 
     def _define(self, key: bytes, topic: bytes, about: dict[bytes, bytes]) -> None:
@@ -130,7 +128,7 @@ class _Walk:
                 "ros1msg",
             )
 
-    def _message(self, file: IO[bytes], record: _Record) -> Iterator[BagMessage]:
+    def _message(self, file: IO[bytes], record: Record) -> Iterator[BagMessage]:
         fields = record.fields
         channel = self._channels.get(fields[b"conn"] if b"conn" in fields else fields[b"topic"])
         if channel is None:
@@ -141,21 +139,21 @@ class _Walk:
             if b"time" in fields:
                 seconds, nanoseconds = struct.unpack("<II", fields[b"time"])
             else:
-                seconds = _U32.unpack(fields[b"sec"])[0]
-                nanoseconds = _U32.unpack(fields[b"nsec"])[0]
-            data = _read_at(file, record.data_at, record.length)
+                seconds = U32.unpack(fields[b"sec"])[0]
+                nanoseconds = U32.unpack(fields[b"nsec"])[0]
+            data = read_at(file, record.data_at, record.length)
             yield BagMessage(channel, seconds * 10**9 + nanoseconds, data)
 
-    def _chunk(self, file: IO[bytes], record: _Record) -> Iterator[BagMessage]:
+    def _chunk(self, file: IO[bytes], record: Record) -> Iterator[BagMessage]:
         compression = record.fields[b"compression"]
         if compression == b"none":
             yield from self.region(file, record.data_at, record.data_at + record.length)
             return
-        (size,) = _U32.unpack(record.fields[b"size"])
+        (size,) = U32.unpack(record.fields[b"size"])
         if size > CHUNK_LIMIT or record.length > CHUNK_LIMIT:
             self._account.skipped["chunks that claim impossible sizes"] += 1
             return
-        data = _unpacked(compression, _read_at(file, record.data_at, record.length), size)
+        data = _unpacked(compression, read_at(file, record.data_at, record.length), size)
         if len(data) < size:
             self._account.skipped["chunks that cannot be unpacked, or not wholly"] += 1
         yield from self.region(BytesIO(data), 0, len(data))
@@ -175,70 +173,3 @@ def _unpacked(compression: bytes, packed: bytes, size: int) -> bytes:
     except (OSError, RuntimeError, EOFError):
         pass  # what came before it stands
     return bytes(data)
-
-
-def _record_at(file: IO[bytes], at: int, end: int) -> _Record:
-    (length,) = _U32.unpack(_read_at(file, at, 4))
-    if not 0 < length <= min(HEADER_LIMIT, end - at - 8):
-        raise ValueError("impossible length of a header")
-    head = _read_at(file, at + 4, length + 4)
-    fields = _fields_of(head[:length])
-    if len(fields[b"op"]) != 1:
-        raise ValueError("no operation")
-    (data_length,) = _U32.unpack(head[length:])
-    data_at = at + 8 + length
-    operation = fields[b"op"][0]
-    if operation == _INDEX and b"conn" in fields:
-        # Early recorders stated too many bytes here; 12 for each entry are what is there.
-        data_length = 12 * _U32.unpack(fields[b"count"])[0]
-    if operation == _CHUNK and fields[b"compression"] == b"none":
-        data_length = min(data_length, end - data_at)  # the last one of a bag that is cut off
-    if data_length > end - data_at:
-        raise ValueError("a record is cut off")
-    return _Record(fields, data_at, data_length)
-
-
-def _fields_of(header: bytes) -> dict[bytes, bytes]:
-    fields, at = {}, 0
-    while at < len(header):
-        (length,) = _U32.unpack_from(header, at)
-        name, equals, value = header[at + 4 : at + 4 + length].partition(b"=")
-        at += 4 + length
-        if not equals or at > len(header):
-            raise ValueError("a field is cut off")
-        fields[name] = value
-    return fields
-
-
-def _next_record(file: IO[bytes], at: int, end: int) -> int:
-    """Return where the next record begins, `end` if there is none.
-
-    A header is looked for around its operation field, which may stand anywhere in it.
-    """
-    while at < end:
-        block = _read_some(file, at, _SEARCH_BLOCK + len(_OP))
-        found = block.find(_OP)
-        if found < 0:
-            at += _SEARCH_BLOCK
-            continue
-        operation_at = at + found
-        for start in range(max(at, operation_at - 4096), operation_at - 3):
-            try:
-                _record_at(file, start, end)
-            except _BAD:
-                continue
-            return start
-        at = operation_at + 1
-    return end
-
-
-def _read_at(file: IO[bytes], at: int, length: int) -> bytes:
-    data = _read_some(file, at, length)
-    if len(data) < length:
-        raise ValueError("a record is cut off")
-    return data
-
-
-def _read_some(file: IO[bytes], at: int, length: int) -> bytes:
-    file.seek(at)
-    return file.read(length)

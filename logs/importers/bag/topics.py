@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from slam.logs.errors import LogError, shown
-from slam.logs.importers.bag.frames import FrameTree, Link, is_odom, is_world, leaf, plain, prefix
+from slam.logs.importers.bag.frames import FrameTree, Link
 from slam.logs.importers.bag.inventory import ODOMETRY, SCAN, SCANS, Inventory, Stream
+from slam.logs.importers.bag.names import is_odom, is_world, leaf, plain, prefix
+from slam.logs.importers.bag.odometry import Odometry, from_link, from_stream
 from slam.logs.importers.wishes import Wishes
 
 NO_ODOMETRY = "none"  # as a wish: laser alone
@@ -30,19 +29,6 @@ class Said:
 
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-
-
-class Odometry(NamedTuple):
-    """Poses of a base in its odometry frame, from a topic or from transforms."""
-
-    name: str  # for people
-    parent: str  # frame, empty if not stated
-    child: str
-    stamps: NDArray[np.int64]  # (n,) ns
-    receipts: NDArray[np.int64]
-    poses: NDArray[np.float64]  # (n, 3) x (m), y (m), theta (rad)
-    flaws: dict[int, str]  # rows that cannot be used, and why
-    topic: str = ""  # empty where it comes from transforms
 
 
 def choose_scan(inventory: Inventory, wishes: Wishes, said: Said) -> Stream:
@@ -196,14 +182,11 @@ def transform_odometry(tree: FrameTree, laser: str, said: Said) -> Link | None:
 
     A link from the building's frame is a localiser's and is left alone.
     """
-    robot = tree.fast_with(laser)
-    links = [
-        link
-        for link in tree.links.values()
-        if link.child in robot and link.parent not in robot and link.stamps
-        and not is_world(link.parent)
-    ]  # fmt: skip
-    links.sort(key=lambda link: (not is_odom(link.parent), -link.count, link.parent, link.child))
+    links = _links_to(tree, tree.fast_with(laser))
+    if links and not is_odom(links[0].parent):
+        # A laser that turns on the robot: the odometry is what moves the frame that it turns on.
+        above = [n for link in links for n in _links_to(tree, tree.fast_with(link.parent))]
+        links = [link for link in above if is_odom(link.parent)] or links
     if not links:
         return None
     chosen = links[0]
@@ -218,23 +201,15 @@ def transform_odometry(tree: FrameTree, laser: str, said: Said) -> Link | None:
     return chosen
 
 
-def from_stream(stream: Stream) -> Odometry:
-    """Return the odometry of a topic."""
-    poses = np.array(stream.poses, dtype=np.float64).reshape(-1, 3)
-    return Odometry(
-        shown(stream.topic), stream.frame, stream.child, *stream.arrays(), poses,
-        dict(stream.flaws), stream.topic,
-    )  # fmt: skip
-
-
-def from_link(link: Link) -> Odometry:
-    """Return the odometry that a link of /tf amounts to."""
-    stamps, receipts = np.array(link.stamps, np.int64), np.array(link.receipts, np.int64)
-    poses = np.array(link.poses, dtype=np.float64).reshape(-1, 3)
-    far = np.flatnonzero(np.abs(poses[:, :2]).max(axis=1) > 1e8)
-    flaws = {int(k): "odometry where no robot can have driven" for k in far}
-    name = f"/tf {shown(link.parent)} -> {shown(link.child)}"
-    return Odometry(name, link.parent, link.child, stamps, receipts, poses, flaws)
+def _links_to(tree: FrameTree, robot: set[str]) -> list[Link]:
+    """Return the links of /tf that may move a set of frames, most likely odometry first."""
+    links = [
+        link
+        for link in tree.links.values()
+        if link.child in robot and link.parent not in robot and link.stamps
+        and not is_world(link.parent)
+    ]  # fmt: skip
+    return sorted(links, key=lambda n: (not is_odom(n.parent), -n.count, n.parent, n.child))
 
 
 def listed(names: object) -> str:
