@@ -39,7 +39,7 @@ def bench_altered_logs(
     out: Path,
     data: Path,
     quick: bool,
-    say: Callable[[str], None],
+    echo: Callable[[str], None],
     names: Sequence[str] = (),
     config: SlamConfig | None = None,
 ) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def bench_altered_logs(
         for kind in rest:
             assert log is not None
             result = replay(name, log, kind, config)
-            say(" ".join(f"{key}={value}" for key, value in result.items()))
+            echo(" ".join(f"{key}={value}" for key, value in result.items()))
             kept.add(f"{name} {kind}", result)
     rows = [_row(name, kind, kept) for name in names for kind in ALTERATIONS]
     return {"meta": {"seed": SEED}, "rows": rows}

@@ -39,7 +39,7 @@ class _Side:
     out: Path
 
 
-def bench_batch(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_batch(quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """The same batch with one worker and with two, then many tasks that do nothing."""
     grid = make_grid(None, _SETTINGS)
     with tempfile.TemporaryDirectory() as scratch, ExitStack() as stack:
@@ -55,7 +55,7 @@ def bench_batch(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
         for begin in range(0, len(logs), _SLICE):
             for k, side in enumerate(sides):
                 walls[k] += _timed(logs[begin : begin + _SLICE], grid, side)
-        tables = [run_batch(Batch(logs, grid, side.out), side.client, say) for side in sides]
+        tables = [run_batch(Batch(logs, grid, side.out), side.client, echo) for side in sides]
         rows = [
             _row(side, table, wall, walls[0]) | {"identical": _same(sides[0].out, side.out)}
             for side, table, wall in zip(sides, tables, walls, strict=True)

@@ -37,7 +37,7 @@ class _Job:
 
 
 def bench_benchmark(
-    data: Path, quick: bool, say: Callable[[str], None], workers: int = 0
+    data: Path, quick: bool, echo: Callable[[str], None], workers: int = 0
 ) -> dict[str, Any]:
     """Replay every log of `data`/benchmark with the shipped configuration and judge it.
 
@@ -54,16 +54,16 @@ def bench_benchmark(
         raise RunError(
             f"{folder}: no NAME.clf.gz with its NAME.relations; say where they are with --data"
         )
-    say("compiling the kernels")
+    echo("compiling the kernels")
     warm_up(SlamConfig())
-    say(f"importing and replaying {', '.join(names)}")
+    echo(f"importing and replaying {', '.join(names)}")
     with tempfile.TemporaryDirectory() as scratch:
         several = 1 if workers else 0  # the workers keep the cores busy
         jobs = [_Job(name, folder.absolute(), Path(scratch), several) for name in names]
         rows = spread(_row, jobs, workers)
     for row in rows:
         stages = sorted(row["stages_s"].items(), key=lambda stage: -stage[1])
-        say(f"{row['log']}: " + ", ".join(f"{name} {s:.1f} s" for name, s in stages))
+        echo(f"{row['log']}: " + ", ".join(f"{name} {s:.1f} s" for name, s in stages))
     meta = {"published": "Cartographer, Hess et al. 2016", "workers": workers}
     return {"meta": meta, "rows": rows}
 

@@ -35,7 +35,7 @@ Case = tuple[str, int, FaultKind | None]  # building, seed, fault
 Matrix = NDArray[np.float64]
 
 
-def bench_buildings(out: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_buildings(out: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Drive every building with the shipped configuration and judge maps and closures by truth.
 
     Twenty seeds, without a fault and with each; with `quick` one.  Each drive is written down in
@@ -53,7 +53,7 @@ def bench_buildings(out: Path, quick: bool, say: Callable[[str], None]) -> dict[
     if rest:
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
             for case, run in zip(rest, pool.imap(drive, rest), strict=True):
-                say(" ".join(f"{key}={_short(value)}" for key, value in run.items()))
+                echo(" ".join(f"{key}={_short(value)}" for key, value in run.items()))
                 kept.add(_name(case), run)
     runs = [kept[_name(case)] for case in cases]
     meta = {

@@ -52,7 +52,7 @@ class CpuWatch(NullTimer):
         return taken
 
 
-def bench_growth(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_growth(quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Drive through a town until the graph has grown to each size; `quick` ends at the first.
 
     The pipeline is the one that ships, with loop searches inside the step.
@@ -72,7 +72,7 @@ def bench_growth(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
         times.append([spent, *stages])
         if len(slam.keyframes) >= sizes[len(rows)]:
             rows.append(_row(slam, np.array(times[-WINDOW:])))
-            say(f"{len(slam.keyframes)} keyframes")
+            echo(f"{len(slam.keyframes)} keyframes")
             if len(rows) == len(sizes):
                 break
     return {"meta": {"window": WINDOW, "beams": LASER.beams, "time": "CPU ms"}, "rows": rows}

@@ -38,13 +38,13 @@ _SAMPLE_S = 60.0
 _QUEUE = 4000  # messages; the disk must keep up with the accelerated time
 
 
-def bench_memory(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_memory(quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Drive and stand, an hour each or (`quick`) six minutes; memory at every minute."""
     seconds = 360.0 if quick else 3600.0
     rows = []
     for name, drives in (("standing", False), ("driving", True)):
         names = ("s", "rss_mb", "keyframes", "pruned")
-        samples = [dict(zip(names, s, strict=True)) for s in _run(seconds, drives, say)]
+        samples = [dict(zip(names, s, strict=True)) for s in _run(seconds, drives, echo)]
         rows.append(_row(name, samples) | {"samples": samples})
     return {"meta": {"beams": 1081, "scan_hz": 40}, "rows": rows}
 
@@ -63,7 +63,7 @@ def _row(name: str, samples: list[dict[str, float]]) -> dict[str, Any]:
 
 
 def _run(
-    seconds: float, drives: bool, say: Callable[[str], None]
+    seconds: float, drives: bool, echo: Callable[[str], None]
 ) -> Iterator[tuple[float, float, int, int]]:
     """Yield seconds, memory in MB, keyframes and those pruned, once in a simulated minute."""
     with tempfile.TemporaryDirectory(prefix="slam-memory-") as folder:
@@ -88,7 +88,7 @@ def _run(
                     due_s += _SAMPLE_S
                     gone = slam.records.pruned_counts["keyframes"]
                     sample = now_s, _rss_mb(), len(slam.keyframes), gone
-                    say(f"{now_s / 60:.0f} min: {sample[1]:.0f} MB, {sample[2]} keyframes")
+                    echo(f"{now_s / 60:.0f} min: {sample[1]:.0f} MB, {sample[2]} keyframes")
                     yield sample
 
 

@@ -22,7 +22,7 @@ OFFICE = Plan(world="office", most_s=1200.0)
 _PASSES = 6  # of 107 s each: over ten minutes
 
 
-def bench_online(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_online(quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Drive in real time, for ten minutes or (`quick`) two, and return the figures.
 
     `latency_ms` is from a scan's last byte until the pipeline is done with it and has a pose
@@ -32,7 +32,7 @@ def bench_online(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """
     plan = OFFICE if quick else replace(OFFICE, passes=_PASSES)
     with tempfile.TemporaryDirectory(prefix="slam-bench-") as folder:
-        drive_online(Path(folder), load_config(None), say, plan)
+        drive_online(Path(folder), load_config(None), echo, plan)
         summary = json.loads((Path(folder) / "online" / "summary.json").read_text("utf-8"))
         log_mb = (Path(folder) / "online" / "run.mcap").stat().st_size / 1e6
     return {"meta": _meta(), "rows": [_row(summary, plan) | {"log_mb": round(log_mb, 1)}]}

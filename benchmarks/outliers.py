@@ -26,7 +26,7 @@ SHARES = (0.1, 0.2, 0.5)  # false loops for every true one
 PLAIN = {"match_sigma_trans": 0.0, "match_sigma_rot": 0.0}
 
 
-def bench_outliers(data: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_outliers(data: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Add random false loops, optimise, and compare with the optimum of the clean graph.
 
     Raises:
@@ -45,7 +45,7 @@ def bench_outliers(data: Path, quick: bool, say: Callable[[str], None]) -> dict[
             FactorMaker(GraphConfig(**PLAIN, robust=False, reject_loops=False)),
         ).poses
         for share in SHARES[:2] if quick else SHARES:
-            say(f"{name}: {share:.0%} false loops")
+            echo(f"{name}: {share:.0%} false loops")
             rows.append({"graph": name, **_mixed(graph, clean, share, config)})
     return {"meta": {"seed": 1, "unit": "m"}, "rows": rows}
 

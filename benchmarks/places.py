@@ -47,7 +47,7 @@ class Drive:
     scans: list[PreparedScan]
 
 
-def bench_places(data: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_places(data: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Recall of place recognition on every log with known poses.
 
     With `quick`, only logs that bring a reference trajectory, which need no replay.
@@ -62,10 +62,10 @@ def bench_places(data: Path, quick: bool, say: Callable[[str], None]) -> dict[st
         raise RunError(f"{data}: no keyframes/NAME.ref.tum and no benchmark/NAME.clf.gz")
     with tempfile.TemporaryDirectory() as scratch:
         for path in references:
-            say(f"reading {path.name}")
+            echo(f"reading {path.name}")
             rows.append(recall(referenced(path, Path(scratch)), config))
         for name in replayed:
-            say(f"replaying {name}")
+            echo(f"replaying {name}")
             rows.append(recall(replayed_log(data / "benchmark" / name, Path(scratch)), config))
     meta = {"near_m": NEAR, "heading_deg": np.degrees(HEADING), "config": config._asdict()}
     return {"meta": meta, "rows": rows}

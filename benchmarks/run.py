@@ -19,7 +19,7 @@ from slam.runs.config_file import nearest
 from slam.runs.errors import RunError
 from slam.runs.run_directory import version
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 
 IN_A_FILE = 160  # characters in a line of a table that no terminal shows
 
@@ -30,7 +30,7 @@ class Benchmark:
 
     about: str
     function: str  # `module:name`; imported only when asked for: some need optional packages
-    takes: str  # names of the arguments of the function, of: out, data, quick, say, workers
+    takes: str  # names of the arguments of the function, of: out, data, quick, echo, workers
     columns: Mapping[str, str] = field(default_factory=dict)  # of the table: row key -> heading
     data: str = ""  # what the folder of `--data` must hold; empty where it can do without
 
@@ -43,7 +43,7 @@ class Benchmark:
 BENCHMARKS: Mapping[str, Benchmark] = {
     "altered-logs": Benchmark(
         "real logs, altered: stale or missing odometry, scale, cut ranges and more",
-        "benchmarks.altered_logs:bench_altered_logs", "out data quick say",
+        "benchmarks.altered_logs:bench_altered_logs", "out data quick echo",
         {
             "log": "log", "alteration": "alteration", "error_m": "error m",
             "unaltered_m": "unaltered", "ratio": "ratio", "raw_m": "odometry alone",
@@ -53,7 +53,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "batch": Benchmark(
         "how batches scale with workers",
-        "benchmarks.batch:bench_batch", "quick say",
+        "benchmarks.batch:bench_batch", "quick echo",
         {
             "workers": "workers", "tasks": "tasks", "wall_s": "s", "speedup": "speed-up",
             "busy_share": "replaying", "overhead_s_per_task": "s per task beyond replay",
@@ -62,7 +62,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "benchmark": Benchmark(
         "public logs against published errors",
-        "benchmarks.benchmark:bench_benchmark", "data quick say workers",
+        "benchmarks.benchmark:bench_benchmark", "data quick echo workers",
         {
             "log": "log", "trans_mean_m": "mean m", "trans_std_m": "+- m",
             "trans_max_m": "worst m", "rot_mean_deg": "deg",
@@ -74,7 +74,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "buildings": Benchmark(
         "simulated buildings with loops and odometry faults",
-        "benchmarks.buildings:bench_buildings", "out quick say",
+        "benchmarks.buildings:bench_buildings", "out quick echo",
         {
             "building": "building", "fault": "fault", "seeds": "seeds", "ate_m_median": "ATE m",
             "ate_m_max": "worst m", "ate_ratio_median": "x without", "closures": "closures",
@@ -84,7 +84,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "growth": Benchmark(
         "time and memory as the graph grows",
-        "benchmarks.growth:bench_growth", "quick say",
+        "benchmarks.growth:bench_growth", "quick echo",
         {
             "keyframes": "keyframes", "closures": "closures", "way_m": "path m",
             "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "max",
@@ -103,12 +103,12 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "matcher": Benchmark(
         "time, accuracy, basin and consistency of single matches",
-        "benchmarks.matcher.matcher:bench_matcher", "data quick say",
+        "benchmarks.matcher.matcher:bench_matcher", "data quick echo",
         data="`benchmark/` with NAME.clf.gz and NAME.relations of intel, mit-csail, mit-killian",
     ),
     "memory": Benchmark(
         "memory over an hour, standing and driving",
-        "benchmarks.memory:bench_memory", "quick say",
+        "benchmarks.memory:bench_memory", "quick echo",
         {
             "run": "run", "minutes": "minutes", "keyframes": "keyframes",
             "rss_mb_first": "MB first", "rss_mb_last": "MB last",
@@ -117,7 +117,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "online": Benchmark(
         "latency and losses in real time",
-        "benchmarks.online:bench_online", "quick say",
+        "benchmarks.online:bench_online", "quick echo",
         {
             "duration_s": "s", "scans": "scans", "latency_ms_p50": "latency ms p50",
             "latency_ms_p99": "p99", "latency_ms_max": "max",
@@ -127,7 +127,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "online-faults": Benchmark(
         "faults of wires, devices and wheels",
-        "benchmarks.faults.online_faults:bench_online_faults", "out quick say",
+        "benchmarks.faults.online_faults:bench_online_faults", "out quick echo",
         {
             "faults": "faults", "runs": "runs", "outages": "outages", "scans_lost": "scans lost",
             "worst_ratio": "worst error ratio", "worst_stamp_ms": "stamps off by ms",
@@ -136,7 +136,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "outliers": Benchmark(
         "public graphs with false loops mixed in",
-        "benchmarks.outliers:bench_outliers", "data quick say",
+        "benchmarks.outliers:bench_outliers", "data quick echo",
         {
             "graph": "graph", "share": "false per true loop", "false_loops": "false",
             "ate_to_clean_m": "ATE to clean m", "extent_m": "extent m", "precision": "precision",
@@ -146,11 +146,11 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "paper": Benchmark(
         "the seed paper's experiment",
-        "benchmarks.paper.paper:bench_paper", "out quick say",
+        "benchmarks.paper.paper:bench_paper", "out quick echo",
     ),
     "pareto": Benchmark(
         "error against matches for every way to choose keyframes",
-        "benchmarks.keyframe_interval.pareto:bench_pareto", "out data quick say workers",
+        "benchmarks.keyframe_interval.pareto:bench_pareto", "out data quick echo workers",
         {
             "world": "world", "method": "method", "setting": "setting",
             "matches_median": "matches", "ate_m_median": "ATE m", "cpu_ms_median": "cpu ms",
@@ -158,7 +158,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "places": Benchmark(
         "recall of places by their shape, same way and reverse",
-        "benchmarks.places:bench_places", "data quick say",
+        "benchmarks.places:bench_places", "data quick echo",
         {
             "log": "log", "places": "places", "same_revisits": "same way",
             "same_among_1": "first", "same_among_50": "among 50",
@@ -170,7 +170,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "situations": Benchmark(
         "simulated drives that break maps, with and without their trait",
-        "benchmarks.situations:bench_situations", "out quick say",
+        "benchmarks.situations:bench_situations", "out quick echo",
         {
             "situation": "situation", "ate_m": "ATE m", "without_m": "without", "raw_m": "odometry",
             "closures": "closures", "false_closures": "false", "odometry_refused": "refused",
@@ -179,7 +179,7 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "view": Benchmark(
         "what watching a run costs",
-        "benchmarks.view:bench_view", "data quick say",
+        "benchmarks.view:bench_view", "data quick echo",
         {
             "log": "log", "watched_by": "watched by", "cpu_s": "pipeline's CPU s", "wall_s": "s",
             "look_us": "us per step", "frames": "frames", "identical": "same run",
@@ -187,14 +187,14 @@ BENCHMARKS: Mapping[str, Benchmark] = {
     ),
     "weights": Benchmark(
         "the weights of SDP-PE, fitted",
-        "benchmarks.paper.weights:bench_weights", "quick say",
+        "benchmarks.paper.weights:bench_weights", "quick echo",
     ),
 }  # fmt: skip
 """Every benchmark by its name on the command line."""
 
 
 def run_bench(
-    name: str, out: Path, data: Path | None, quick: bool, say: Say, workers: int = 0
+    name: str, out: Path, data: Path | None, quick: bool, echo: Echo, workers: int = 0
 ) -> None:
     """Run one benchmark by name, print it and write `out`/NAME.json.
 
@@ -204,7 +204,7 @@ def run_bench(
         RunError: no such benchmark, its data is missing, or the output cannot be written.
     """
     benchmark = _chosen(name, data, workers)
-    given = {"out": out, "data": data, "quick": quick, "say": say, "workers": workers}
+    given = {"out": out, "data": data, "quick": quick, "echo": echo, "workers": workers}
     module, _, function = benchmark.function.partition(":")
     measure = getattr(importlib.import_module(module), function)
     result = measure(**{argument: given[argument] for argument in benchmark.takes.split()})
@@ -226,7 +226,7 @@ def run_bench(
         atomic_write(target, json.dumps(result, indent=2) + "\n")
     except OSError as error:
         raise RunError(f"{target}: cannot be written: {error.strerror}") from error
-    say(f"figures: {target}")
+    echo(f"figures: {target}")
 
 
 def _chosen(name: str, data: Path | None, workers: int) -> Benchmark:

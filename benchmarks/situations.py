@@ -28,7 +28,7 @@ SLOW = ("long-loop",)  # left out of the quick campaign
 def bench_situations(
     out: Path,
     quick: bool,
-    say: Callable[[str], None],
+    echo: Callable[[str], None],
     names: Sequence[str] = (),
     config: SlamConfig | None = None,
 ) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def bench_situations(
             for trait in (True, False):
                 if _run(name, seed, trait) not in kept:
                     result = drive(name, seed, trait, config)
-                    say(" ".join(f"{key}={value}" for key, value in result.items()))
+                    echo(" ".join(f"{key}={value}" for key, value in result.items()))
                     kept.add(_run(name, seed, trait), result)
     return {"meta": {"seeds": len(seeds)}, "rows": [_row(name, seeds, kept) for name in names]}
 

@@ -52,7 +52,7 @@ _CASES = (
 )
 
 
-def bench_view(data: Path | None, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_view(data: Path | None, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Replay a log with each kind of watcher, as fast as it goes; the result must not change.
 
     `cpu_s` is that of the pipeline's thread alone, `look_us` what a step spends on the watcher in
@@ -73,7 +73,7 @@ def bench_view(data: Path | None, quick: bool, say: Callable[[str], None]) -> di
     rows: list[dict[str, Any]] = []
     alone: Result | None = None
     for case in _CASES:
-        say(f"{name}: watched by {case.name}")
+        echo(f"{name}: watched by {case.name}")
         row, result = _measure(case, messages)
         alone = alone or result
         rows.append({"log": name, **row, "identical": _same(alone, result)})

@@ -195,7 +195,7 @@ def drive_once(
     }
 
 
-def bench_online_faults(out: Path, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def bench_online_faults(out: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Run the campaign, or what is left of it in `out`; a run that fails a check is a row as well.
 
     Raises:
@@ -213,14 +213,14 @@ def bench_online_faults(out: Path, quick: bool, say: Callable[[str], None]) -> d
         row = kept.made(f"run {seed}", partial(run_one, seed))
         runs.append(row)
         found = ", ".join(row["wrong"]) or "sound"
-        say(f"run {seed}, {row['faults']}: {row['ratio']:.2f} times the error, {found}")
+        echo(f"run {seed}, {row['faults']}: {row['ratio']:.2f} times the error, {found}")
     kinds = sorted({row["kind"] for row in runs})
     meta = {
         "drives": DRIVES, "long_outage_s": LONG_S, "worse": WORSE,
         "fault_free_mm": [[round(1e3 * m, 2) for m in sorted(errors)] for errors in spread],
         "fault_free_ratio_most": round(max(max(errors) / min(errors) for errors in spread), 3),
     }  # fmt: skip
-    say(
+    echo(
         f"without faults the noise alone makes one run {meta['fault_free_ratio_most']:.2f} times "
         "as wrong as another of the same drive"
     )

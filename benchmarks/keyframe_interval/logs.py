@@ -26,7 +26,7 @@ from slam.mapping.config import SlamConfig
 from slam.mapping.slam import Slam
 from slam.runs.offline import run_offline
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 
 SURVEYED = ("intel", "mit-csail", "mit-killian")
 UNSURVEYED = ("exp1", "exp2")
@@ -46,7 +46,7 @@ REVISIT_M = 1.5  # keyframes as near as this, by the estimate, may look at one p
 APART_M = 6.0  # of path between two visits of a place
 
 
-def bench_logs(data: Path, kept: KeptRuns, say: Say) -> list[dict[str, Any]]:
+def bench_logs(data: Path, kept: KeptRuns, echo: Echo) -> list[dict[str, Any]]:
     """Rows of the logs that are there; those with relations run with loop closure.
 
     Runs that are `kept` from an earlier, interrupted campaign are not made again.
@@ -55,16 +55,16 @@ def bench_logs(data: Path, kept: KeptRuns, say: Say) -> list[dict[str, Any]]:
     for name in SURVEYED:
         path = data / "benchmark" / f"{name}.clf.gz"
         if not path.is_file():
-            say(f"{path}: not there, left out")
+            echo(f"{path}: not there, left out")
             continue
         for label, choice in COMPARED.items():
-            say(f"{name}: {label}")
+            echo(f"{name}: {label}")
             found = kept.made(f"{name}: {label}", partial(surveyed, choice, path))
             rows.append({"log": name, "setting": label, **found})
     for name in UNSURVEYED:
         path = data / "hokuyo" / f"{name}.dat.gz"
         if not path.is_file():
-            say(f"{path}: not there, left out")
+            echo(f"{path}: not there, left out")
             continue
         for label, choice in (COMPARED | MORE).items():
             found = kept.made(f"{name}: {label}", partial(unsurveyed, choice, path))

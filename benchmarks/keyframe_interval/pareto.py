@@ -36,7 +36,7 @@ from benchmarks.keyframe_interval.logs import bench_logs
 from benchmarks.spread import spread
 from slam.mapping.config import SlamConfig
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 Outcomes = dict[str, dict[Setting, list[Outcome]]]  # by world, in the order of the seeds
 
 SEEDS, QUICK_SEEDS = 30, 2
@@ -55,7 +55,7 @@ class Job:
 
 
 def bench_pareto(
-    out: Path, data: Path | None, quick: bool, say: Say, workers: int = 0
+    out: Path, data: Path | None, quick: bool, echo: Echo, workers: int = 0
 ) -> dict[str, Any]:
     """Run all settings in all worlds, and a few on the recorded logs found in `data`.
 
@@ -63,10 +63,10 @@ def bench_pareto(
     leaves them out.
     """
     if data is None and not quick:
-        say("without --data the recorded logs are left out")
+        echo("without --data the recorded logs are left out")
     seeds = QUICK_SEEDS if quick else SEEDS
-    say(f"{len(WORLDS)} worlds, {seeds} drives of up to {LONGEST_M:g} m each")
-    outcomes = _drive_all(out, seeds, say, workers)
+    echo(f"{len(WORLDS)} worlds, {seeds} drives of up to {LONGEST_M:g} m each")
+    outcomes = _drive_all(out, seeds, echo, workers)
     rows = [
         row(world, setting, found)
         for world, by_setting in outcomes.items()
@@ -74,11 +74,11 @@ def bench_pareto(
     ]
     closure_results = [v for world in outcomes for v in judged(world, outcomes[world])]
     draw_pareto(rows, out / "pareto.png")
-    say(f"figure: {out / 'pareto.png'}")
+    echo(f"figure: {out / 'pareto.png'}")
     _show(closure_results)
     counter = counter_test(outcomes)
     _show_counter(counter)
-    logs = [] if quick or data is None else bench_logs(data, KeptRuns(out / KEPT_LOGS), say)
+    logs = [] if quick or data is None else bench_logs(data, KeptRuns(out / KEPT_LOGS), echo)
     meta = {
         "seeds": seeds,
         "first_seed": FIRST_SEED,
@@ -89,13 +89,13 @@ def bench_pareto(
     return {"meta": meta, "rows": rows, "logs": logs}
 
 
-def _drive_all(out: Path, seeds: int, say: Say, workers: int) -> Outcomes:
+def _drive_all(out: Path, seeds: int, echo: Echo, workers: int) -> Outcomes:
     """All drives; the result does not depend on the number of workers."""
     kept = out / KEPT
     kept.mkdir(parents=True, exist_ok=True)
     numbers = range(FIRST_SEED, FIRST_SEED + seeds)
     jobs = [Job(world, seed, kept) for seed in numbers for world in WORLDS]
-    say(f"drives that are done are kept in {kept}")
+    echo(f"drives that are done are kept in {kept}")
     done = dict(zip(((j.world, j.seed) for j in jobs), spread(drive, jobs, workers), strict=True))
     return {
         world: {

@@ -29,7 +29,7 @@ from benchmarks.matcher.pairs import BEAMS, CENTRED, LOGS, Pair, real_pairs, syn
 from benchmarks.matcher.peers import FAR_REACH, REACH, Peer, all_peers
 from benchmarks.matcher.startup import startup
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 
 SEED = 7
 REPEATED = 5  # times that a match is made again to be timed warm; the median counts
@@ -50,7 +50,7 @@ FULL = Counts(synthetic=150, real=150, matches=1000)
 QUICK = Counts(synthetic=12, real=8, matches=100)
 
 
-def bench_matcher(data: Path, quick: bool, say: Say) -> dict[str, Any]:
+def bench_matcher(data: Path, quick: bool, echo: Echo) -> dict[str, Any]:
     """Measure the matchers; `data` holds `benchmark/` with the public logs.
 
     Raises:
@@ -59,21 +59,21 @@ def bench_matcher(data: Path, quick: bool, say: Say) -> dict[str, Any]:
     counts, peers = QUICK if quick else FULL, all_peers()
     rows: list[dict[str, Any]] = []
     for beams in BEAMS:
-        say(f"simulated pairs, {beams} beams")
+        echo(f"simulated pairs, {beams} beams")
         pairs = synthetic_pairs(beams, counts.synthetic, SEED)
         rows += measure(peers, pairs, "synthetic")
     for name in LOGS:
         if not (data / "benchmark" / f"{name}.clf.gz").exists():
-            say(f"{data / 'benchmark'}: no {name}.clf.gz, left out")
+            echo(f"{data / 'benchmark'}: no {name}.clf.gz, left out")
             continue
-        say(f"real pairs, {name}")
+        echo(f"real pairs, {name}")
         rows += measure(peers, real_pairs(data / "benchmark", name, counts.real, SEED), name)
     found = []
     for world in WORLDS:
-        say(f"consistency, {world}")
+        echo(f"consistency, {world}")
         found.append(consistency(world, counts.matches))
     if not quick:
-        say("start-up, with no compiled kernels and with")
+        echo("start-up, with no compiled kernels and with")
     begin = {} if quick else startup()
     _show(rows, found, begin)
     return {"meta": _meta(counts, found, begin), "rows": rows}

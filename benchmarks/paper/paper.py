@@ -40,7 +40,7 @@ from benchmarks.paper.report import overview, write_paper_report
 from benchmarks.paper.spread import median_ci95
 from benchmarks.paper.study import study
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 Choice = tuple[int, ...]
 
 SEEDS, QUICK_SEEDS = 30, 3
@@ -60,7 +60,7 @@ class Setting:
 Outcomes = dict[Setting, list[Outcome]]
 
 
-def bench_paper(out: Path, quick: bool, say: Say) -> dict[str, Any]:
+def bench_paper(out: Path, quick: bool, echo: Echo) -> dict[str, Any]:
     """Run the experiment, draw Figures 6 and 7 anew and write `paper.md` into `out`.
 
     `sdp-pe` has its intervals stretched, all alike, so as to use the paper's 23 scans;
@@ -68,15 +68,15 @@ def bench_paper(out: Path, quick: bool, say: Say) -> dict[str, Any]:
     scans, equally spaced.
     """
     seeds = QUICK_SEEDS if quick else SEEDS
-    say(f"the reading closest to the paper, and what changes it: {seeds} beds")
+    echo(f"the reading closest to the paper, and what changes it: {seeds} beds")
     nearest = closest(seeds, stretch_for)
     outcomes: Outcomes = {}
     stretches = {reading: stretch_for(reading, None) for reading in READINGS}
     for reading in READINGS:
-        say(f"reading {reading}: {seeds} beds")
+        echo(f"reading {reading}: {seeds} beds")
         _run(reading, stretches[reading], seeds, outcomes)
     rows = [row(setting, of) for setting, of in outcomes.items()]
-    say("study: which geometry and which rules of pairing give the paper's figures")
+    echo("study: which geometry and which rules of pairing give the paper's figures")
     studied = study(QUICK_SEEDS if quick else 10, stretch_for, quick)
     out.mkdir(parents=True, exist_ok=True)
     draw_figures(rows, studied, stretches["180cm"], out)

@@ -32,7 +32,7 @@ from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdomet
 from slam.mapping.odometry import OdometryConfig
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 
 TRAINING = ("testbed", "corridor", "mixed", "clutter")
 OTHER = ("office", "plain-corridor")
@@ -87,12 +87,12 @@ class Weights:
         return lengths
 
 
-def bench_weights(quick: bool, say: Say) -> dict[str, Any]:
+def bench_weights(quick: bool, echo: Echo) -> dict[str, Any]:
     """Fit on the training worlds; judge there with other seeds, and in other worlds."""
     sets = {}
     for name, (first, seeds) in SEEDS.items():
         worlds = OTHER if name == "other" else TRAINING
-        say(f"{name}: {', '.join(worlds)}")
+        echo(f"{name}: {', '.join(worlds)}")
         numbers = range(first, first + (QUICK_SEEDS if quick else seeds))
         sets[name] = joined([sampled(world, seed) for world in worlds for seed in numbers])
     fitted = fit(sets["training"])

@@ -22,7 +22,7 @@ from slam.cli.options import (
     PortOption,
     TokenOption,
 )
-from slam.cli.output import exit_on_loss, print_version, say, set_talk
+from slam.cli.output import echo, exit_on_loss, print_version, set_talk
 
 app = typer.Typer(
     name="slam",
@@ -105,7 +105,7 @@ def replay(
     processes = processes or worker_count()
     if view or foxglove:
         processes = 1  # threads serve the page: such a process must not be copied
-    with watched(options, say) as viewers, stage_progress(log) as progress:
+    with watched(options, echo) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
         summary = run_replay(log, out, settings, progress, raw, rate, viewers, prior_map, processes)
     _tell_summary(out, summary)
@@ -133,8 +133,8 @@ def report(
     for found in reports:
         _tell_figures(found.figures)
         for warning in found.warnings:
-            say(f"  note: {warning}")
-    say(f"report: {page}")
+            echo(f"  note: {warning}")
+    echo(f"report: {page}")
 
 
 def reoptimise(
@@ -148,7 +148,7 @@ def reoptimise(
 
     summary = run_reoptimise(source, out, config, set_ or [])
     loops = summary["loops"]
-    say(
+    echo(
         f"{out}: {summary['keyframes']} poses, {summary['edges']} edges, "
         f"error {summary['error_before']:.4g} -> {summary['error_after']:.4g}, "
         f"{loops['rejected']} of {loops['candidates']} loops refused"
@@ -172,11 +172,11 @@ def demo(
 
         if direct:
             raise typer.BadParameter("--real has no devices: leave --direct out")
-        run_real_demo(out, say)
+        run_real_demo(out, echo)
         return
     from slam.tools.demo.demo import run_demo
 
-    run_demo(out, say, direct)
+    run_demo(out, echo, direct)
 
 
 def bench(
@@ -199,7 +199,7 @@ def bench(
     if name == "list":
         typer.echo("\n".join(benchmarks.described()))
         return
-    benchmarks.run_bench(name, out, data, quick, say, workers)
+    benchmarks.run_bench(name, out, data, quick, echo, workers)
 
 
 def _tell_summary(out: Path, summary: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slam.cli.output import LOSS, say
+from slam.cli.output import LOSS, echo
 from slam.logs.errors import missing_extra
 from slam.runs.errors import RunError
 from slam.runs.process_pool import usable_cores
@@ -60,10 +60,10 @@ def batch(
 
     grid = make_grid(config, set_ or [])
     with engine(_count(workers, scheduler), scheduler) as client:
-        rows = run_batch(Batch(logs, grid, out, truth), client, say)
+        rows = run_batch(Batch(logs, grid, out, truth), client, echo)
     for line in lines(rows, grid):
         typer.echo(line)
-    say(f"report: {out / 'report.html'}, table: {out / 'table.parquet'}")
+    echo(f"report: {out / 'report.html'}, table: {out / 'table.parquet'}")
     _exit_on_loss(rows)
 
 
@@ -121,14 +121,14 @@ def tune(
         load_config(config, [*(set_ or []), *(against or [])]), plan, out, truth, storage,
     )  # fmt: skip
     with engine(_count(workers, scheduler), scheduler) as client:
-        tuned = run_tune(tuning, client, say)
+        tuned = run_tune(tuning, client, echo)
     write_tuned(tuned)
     for line in summary_lines(tuned):
         typer.echo(line)
-    say(f"configuration: {out / 'config.toml'}")
+    echo(f"configuration: {out / 'config.toml'}")
     unjudged = [entry.log for entry in tuned.scoring if not math.isfinite(entry.found.error_m)]
     for log in unjudged:
-        say(f"  failed: {log}, or it has no truth for the objective")
+        echo(f"  failed: {log}, or it has no truth for the objective")
     if unjudged:
         raise typer.Exit(LOSS)
 
@@ -137,10 +137,10 @@ def _exit_on_loss(rows: list[dict[str, Any]]) -> None:
     """Say each reason once, with the number of its rows."""
     failed = Counter(row["reason"] for row in rows if row["status"] != "ok")
     for reason, count in failed.items():
-        say(f"  failed: {count} x {reason}")
+        echo(f"  failed: {count} x {reason}")
     lost = Counter(f"{row['log']}: {row['losses']}" for row in rows if row["lost"])
     for losses, count in lost.items():
-        say(f"  lost: {count} x {losses}")
+        echo(f"  lost: {count} x {losses}")
     if failed or lost:
         raise typer.Exit(LOSS)
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.output import say
+from slam.cli.output import echo
 from slam.runs.errors import RunError
 
 
@@ -55,11 +55,11 @@ def init(
     usb = list(list_ports.comports())
     reports = []
     for port in ports or [info.device for info in usb]:
-        say(f"{port}: asking ...")
+        echo(f"{port}: asking ...")
         report = probe(port)
-        say(f"{port}: {report.title}")
+        echo(f"{port}: {report.title}")
         for advice in report.advice:
-            say(f"  ! {advice}")
+            echo(f"  ! {advice}")
         reports.append(report)
     found = {report.kind: lasting_name(report.port) for report in reports if report.kind}
     mount = Mount(mount_x, mount_y, mount_theta_deg)
@@ -72,10 +72,10 @@ def init(
     for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
-        say(f"{path}: written")
+        echo(f"{path}: written")
     missing = [device for device in ("p3dx", "laser") if device not in found]
     if missing or mount_x is None:
         what = [*(f"the port of the {device}" for device in missing)]
         what += ["mount.x"] if mount_x is None else []
-        say(f"{out}: still lacks {', '.join(what)}")
+        echo(f"{out}: still lacks {', '.join(what)}")
         raise typer.Exit(1 if missing else 0)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.output import LOSS, exit_on_loss, say
+from slam.cli.output import LOSS, echo, exit_on_loss
 
 # `readable=False`: whoever opens a file says in one line why it cannot be read.
 LogArgument = Annotated[
@@ -35,7 +35,7 @@ def simulate(
     if out is None:
         raise typer.BadParameter("say where to write the log: --out FILE.mcap")
     count = simulate_log(world, out, seed, laser, noise, passes)
-    say(f"{out}: {count} messages")
+    echo(f"{out}: {count} messages")
 
 
 def import_(
@@ -105,15 +105,15 @@ def import_(
         start_s=from_, end_s=to or math.inf, drive=drive, view_deg=fov,
     )  # fmt: skip
     report = import_log(file, out, wishes)
-    say(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
+    echo(f"{out}: {report.scans} scans, {report.messages} messages from {report.kind}")
     if report.notes:
-        say(f"  {', '.join(report.notes)}")
+        echo(f"  {', '.join(report.notes)}")
     for cause, count in report.changed.items():
-        say(f"  repaired: {count} {cause}")
+        echo(f"  repaired: {count} {cause}")
     for cause, count in report.ignored.items():
-        say(f"  left out: {count} {cause}")
+        echo(f"  left out: {count} {cause}")
     for warning in report.warnings:
-        say(f"  warning: {warning}")
+        echo(f"  warning: {warning}")
     exit_on_loss(report.skipped, "skipped")
     if report.warnings:
         raise typer.Exit(LOSS)
@@ -157,9 +157,9 @@ def recover(
     from slam.logs.recover import recover as recover_log
 
     found = recover_log(file, out)
-    say(f"{out}: {sum(found.messages.values())} messages saved")
+    echo(f"{out}: {sum(found.messages.values())} messages saved")
     for problem in found.problems:
-        say(f"  {problem}")
+        echo(f"  {problem}")
     if found.lost:
         raise typer.Exit(LOSS)
 
@@ -188,5 +188,5 @@ def export(
         raise typer.BadParameter("say what to write: --ros2, --carmen, --csv, --tum or --g2o")
     done = run_export(source, targets)
     for line in done.written:
-        say(line)
+        echo(line)
     exit_on_loss(done.lost, "lost")

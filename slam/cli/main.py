@@ -43,7 +43,7 @@ def main() -> None:
         # A library that was being loaded may have made another error of the signal.
         if _received:
             word = "interrupted" if _received[0] == signal.SIGINT else "terminated"
-            _say(f"slam: {word}; nothing half-written is left")
+            _echo(f"slam: {word}; nothing half-written is left")
             raise SystemExit(128 + _received[0]) from None
         broken = isinstance(error, BrokenPipeError) or (
             isinstance(error, SystemExit) and error.code == 1  # what typer and rich make of it
@@ -57,7 +57,7 @@ def main() -> None:
 
         if is_verbose():
             traceback.print_exception(error)
-        _say(f"slam: {line}")
+        _echo(f"slam: {line}")
         raise SystemExit(1) from error
 
 
@@ -78,7 +78,7 @@ def _nobody_reads(stdout: int | None) -> bool:
     return any(event & select.POLLERR for _, event in watch.poll(0))
 
 
-def _say(text: str) -> None:
+def _echo(text: str) -> None:
     sys.stderr.write(f"{text}\n")
 
 

@@ -63,15 +63,15 @@ def online(
     settings = load_robot(config, set_ or [])
     progress = _Progress(sys.stderr.isatty())
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
-    with StopRequest() as request, watched(options, _say, needed=False) as viewers:
+    with StopRequest() as request, watched(options, _echo, needed=False) as viewers:
         timer = _Timer(seconds)
         summary = run_online(
             settings, out, record_only=record_only,
             stop=lambda: request() or timer.over(),
-            on_status=progress, report=_say, observer=viewers,
+            on_status=progress, report=_echo, observer=viewers,
         )  # fmt: skip
     for cause, count in summary["lost"].items():
-        _say(f"  lost: {count} {cause}")
+        _echo(f"  lost: {count} {cause}")
     typer.echo(f"{out}: {summary['scans']} scans, {summary.get('keyframes', 0)} keyframes")
     code = request.exit_code or (LOSS if summary["lost"] else 0)
     if code:
@@ -97,7 +97,7 @@ def probe(
 
     reports = []
     for port in ports:
-        _say(f"{port}: asking ...")
+        _echo(f"{port}: asking ...")
         report = ask(port, seconds, kinds.get(expect, ("laser", "p3dx")))
         reports.append(report)
         typer.echo(f"{port}: {report.title}")
@@ -166,16 +166,16 @@ class _Progress:
     def __call__(self, status: Status) -> None:
         erase = "\r\x1b[K" if self._terminal else ""
         for text in status.news:
-            _say(f"{erase}{text}")
+            _echo(f"{erase}{text}")
         if self._terminal or status.seconds >= self._due_s:
             self._due_s = status.seconds + _QUIET_S
             line = status.line()
             if self._terminal and (status.alarm or status.warnings):
                 line = typer.style(line, fg=typer.colors.RED)
-            _say(f"{erase}{line}", nl=not self._terminal)
+            _echo(f"{erase}{line}", nl=not self._terminal)
 
 
-def _say(text: str, nl: bool = True) -> None:
+def _echo(text: str, nl: bool = True) -> None:
     if is_quiet():
         return
     with suppress(OSError):  # the terminal was closed; the run is finished all the same

@@ -10,7 +10,7 @@ _talk = {"quiet": False, "verbose": False}  # as the command line has it
 LOSS = 3  # exit code: finished, but data was lost or skipped
 
 
-def say(text: str) -> None:
+def echo(text: str) -> None:
     """Talk goes to stderr, so that stdout holds results alone; with --quiet there is none."""
     if not _talk["quiet"]:
         typer.echo(text, err=True)
@@ -49,6 +49,6 @@ def print_version(wanted: bool) -> None:
 def exit_on_loss(lost: Mapping[str, int], word: str) -> None:
     """Name each cause with its count, and end the command with LOSS if there is any."""
     for cause, count in lost.items():
-        say(f"  {word}: {count} {cause}")
+        echo(f"  {word}: {count} {cause}")
     if lost:
         raise typer.Exit(LOSS)

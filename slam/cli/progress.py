@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from slam.cli.output import say
+from slam.cli.output import echo
 from slam.logs.errors import LogError
 from slam.logs.parts import Recording
 from slam.runs.offline import Progress as Tell
@@ -57,7 +57,7 @@ def count_progress(log: Path, what: str) -> Iterator[Callable[[int], None]]:
         total = 0
     if not console.is_terminal:
         if total:
-            say(f"{what} {total} messages")
+            echo(f"{what} {total} messages")
         yield lambda messages: None
         return
     columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()

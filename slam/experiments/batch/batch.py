@@ -12,7 +12,7 @@ from distributed import Client
 from slam.experiments.batch.grid import Grid
 from slam.experiments.batch.report import comparison_html, comparison_json
 from slam.experiments.batch.run_batch import (
-    Say,
+    Echo,
     failure,
     hash_logs,
     make_folder,
@@ -37,7 +37,7 @@ class Batch:
     truth: Path | None = None  # folder, shared likewise
 
 
-def run_batch(batch: Batch, client: Client, say: Say) -> list[Row]:
+def run_batch(batch: Batch, client: Client, echo: Echo) -> list[Row]:
     """Run what is not finished yet; write `table.parquet`, `report.html` and `report.json`.
 
     Returns the rows of the table, by log and then by combination, however the tasks were run.
@@ -51,7 +51,7 @@ def run_batch(batch: Batch, client: Client, say: Say) -> list[Row]:
     if not logs:
         raise RunError("no log was given")
     planned = _plan(batch, logs, client)
-    records = run_all(client, [t for row in planned for t in row if isinstance(t, Task)], say)
+    records = run_all(client, [t for row in planned for t in row if isinstance(t, Task)], echo)
     rows = []
     for log, tasks in zip(logs, planned, strict=True):
         for point, task in zip(batch.grid.points, tasks, strict=True):

@@ -17,7 +17,7 @@ from slam.runs.errors import ReportError, RunError
 from slam.runs.replay import file_sha256
 from slam.runs.run_directory import version
 
-Say = Callable[[str], None]
+Echo = Callable[[str], None]
 
 
 def hash_logs(client: Client, addresses: Sequence[str]) -> dict[str, str | Exception]:
@@ -52,7 +52,7 @@ def make_task(
 
 
 def run_all(
-    client: Client, tasks: Sequence[Task], say: Say, what: str = "replays"
+    client: Client, tasks: Sequence[Task], echo: Echo, what: str = "replays"
 ) -> dict[str, dict[str, Any]]:
     """Records of all tasks by key; those whose results are there already are not run again.
 
@@ -62,7 +62,7 @@ def run_all(
     records = {key: found for key, task in unique.items() if (found := read_result(task))}
     missing = [task for key, task in unique.items() if key not in records]
     if records:
-        say(f"{what}: {len(records)} of {len(unique)} are there already")
+        echo(f"{what}: {len(records)} of {len(unique)} are there already")
     progress = TaskProgress(what, len(missing))
     for index, error in run_tasks(client, run_task, missing):
         task = missing[index]

@@ -11,7 +11,7 @@ from typing import Any
 from distributed import Client
 
 from slam.experiments.batch.run_batch import (
-    Say,
+    Echo,
     failure,
     hash_logs,
     make_folder,
@@ -68,7 +68,7 @@ class Tuned:
     question: dict[str, Any]
 
 
-def tune(tuning: Tuning, client: Client, say: Say) -> Tuned:
+def tune(tuning: Tuning, client: Client, echo: Echo) -> Tuned:
     """Search for the best settings; goes on where an earlier run in the same folder was cut short.
 
     Raises:
@@ -76,7 +76,7 @@ def tune(tuning: Tuning, client: Client, say: Say) -> Tuned:
             sides, or the folder holds another study.
     """
     make_folder(tuning.out / "results")
-    judge = _Judge(tuning, client, say)
+    judge = _Judge(tuning, client, echo)
     reference = judge.training([tuning.reference])[0]
     judge.require_truth(reference)
     question = _question(tuning, judge)
@@ -90,7 +90,7 @@ def tune(tuning: Tuning, client: Client, say: Say) -> Tuned:
             math.inf if c is None else value(tuning.objective, next(scores), reference)
             for c in configs
         ]
-        say(f"{len(found)} trials: {', '.join(f'{v:.4g}' for v in found)}")
+        echo(f"{len(found)} trials: {', '.join(f'{v:.4g}' for v in found)}")
         return found
 
     search(study, tuning.plan, values_of(tuning.config, tuning.plan.parameters), judge_round)
@@ -109,8 +109,8 @@ def tune(tuning: Tuning, client: Client, say: Say) -> Tuned:
 class _Judge:
     """Runs configurations over the logs of both sides."""
 
-    def __init__(self, tuning: Tuning, client: Client, say: Say) -> None:
-        self._tuning, self._client, self._say = tuning, client, say
+    def __init__(self, tuning: Tuning, client: Client, echo: Echo) -> None:
+        self._tuning, self._client, self._echo = tuning, client, echo
         self.train, self.scoring = expand(tuning.train), expand(tuning.scoring)
         self.hashes: dict[str, str] = {}
         for log, found in hash_logs(client, [*self.train, *self.scoring]).items():

@@ -25,7 +25,7 @@ PAPER = ("keyframes.unit=scans", "keyframes.max_turn=3.2", "loops.enabled=false"
 SDP_PE = ("keyframes.method=sdp-pe", "keyframes.min_interval=15", "keyframes.max_interval=30")
 
 
-def run_demo(out: Path, say: Callable[[str], None], direct: bool = False) -> None:
+def run_demo(out: Path, echo: Callable[[str], None], direct: bool = False) -> None:
     """Make the log, a run per method and the report in `out`; print the comparison.
 
     With `direct`, the log comes from the simulator itself, without devices and their wires.
@@ -34,21 +34,21 @@ def run_demo(out: Path, say: Callable[[str], None], direct: bool = False) -> Non
         RunError: `out` exists already or cannot be made, or the online command failed.
     """
     with new_run(out) as partial:
-        table = _compare(partial, say, direct)
+        table = _compare(partial, echo, direct)
     Console().print(table)
-    say(
+    echo(
         "one drive proves nothing: which choice ends nearer changes from drive to drive; "
         "docs/method.md has the means of many"
     )
-    say(f"map:    {out / 'sdp-pe' / 'map.png'}")
+    echo(f"map:    {out / 'sdp-pe' / 'map.png'}")
     Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
 
 
-def _compare(out: Path, say: Callable[[str], None], direct: bool) -> Table:
+def _compare(out: Path, echo: Callable[[str], None], direct: bool) -> Table:
     """Fill the folder with the log, a run per method and their report."""
     truth = None if direct else out / "truth.tum"
-    log = _simulated(out, say) if direct else _recorded(out, say)
-    say("replaying the log with SDP-PE and with constant intervals")
+    log = _simulated(out, echo) if direct else _recorded(out, echo)
+    echo("replaying the log with SDP-PE and with constant intervals")
     summaries = {"SDP-PE": replay(log, out / "sdp-pe", load_config(None, [*PAPER, *SDP_PE]))}
     for interval in CONSTANT:
         sets = [*PAPER, "keyframes.method=constant", f"keyframes.interval={interval}"]
@@ -56,25 +56,25 @@ def _compare(out: Path, say: Callable[[str], None], direct: bool) -> Table:
         summaries[name] = replay(log, out / f"constant-{interval}", load_config(None, sets))
     if not direct:
         _require_same(out / "online", out / "sdp-pe")
-        say("the graph of the online run and that of its replay are the same, bit for bit")
+        echo("the graph of the online run and that of its replay are the same, bit for bit")
     runs = [out / name.lower().replace(" ", "-") for name in summaries]
     reports = write_report(runs, truth, out / "report.html")
     return comparison(summaries, [report.figures for report in reports])
 
 
-def _recorded(out: Path, say: Callable[[str], None]) -> Path:
+def _recorded(out: Path, echo: Callable[[str], None]) -> Path:
     """Drive on simulated devices, watched by the online command; returns its log."""
     from slam.tools.demo.drive import drive_online  # needs pseudo-terminals
 
-    say("a simulated P3-DX and a simulated UTM-30LX wait on pseudo-terminals for `slam online`")
-    drive_online(out, load_config(None, [*PAPER, *SDP_PE]), say)
+    echo("a simulated P3-DX and a simulated UTM-30LX wait on pseudo-terminals for `slam online`")
+    drive_online(out, load_config(None, [*PAPER, *SDP_PE]), echo)
     return out / "online" / "run.mcap"
 
 
-def _simulated(out: Path, say: Callable[[str], None]) -> Path:
+def _simulated(out: Path, echo: Callable[[str], None]) -> Path:
     """Write the simulator's messages straight into a log."""
     log = out / "testbed.mcap"
-    say("driving 462 scans through the simulated test bed")
+    echo("driving 462 scans through the simulated test bed")
     with LogWriter(log, {"world": "testbed", "reading": READING}, keep_partial=False) as writer:
         for message in paper_drive(READING):
             writer.write(message)

@@ -107,7 +107,7 @@ class SimulatedRobot:
 
 
 def drive_online(
-    folder: Path, settings: SlamConfig, say: Callable[[str], None], plan: Plan = PAPER
+    folder: Path, settings: SlamConfig, echo: Callable[[str], None], plan: Plan = PAPER
 ) -> None:
     """Drive once, watched by `slam online`; leaves `online`, `robot.toml` and `truth.tum`.
 
@@ -121,12 +121,12 @@ def drive_online(
         config.write_text(tomli_w.dumps(written), encoding="utf-8")
         with (
             SimulatorServer(robot.ports) as server,
-            _online(config, folder, say, plan.most_s) as process,
+            _online(config, folder, echo, plan.most_s) as process,
         ):
             _wait(lambda: robot.watched, process, _READY_S)
             robot.motion.starts_s = server.now_s + 0.5
             duration_s = robot.motion.ends_s - server.now_s
-            say(f"driving through the {plan.world} for {duration_s:.0f} s, at 40 scans a second")
+            echo(f"driving through the {plan.world} for {duration_s:.0f} s, at 40 scans a second")
             _wait(lambda: server.now_s > robot.motion.ends_s + 0.5, process, plan.most_s)
             process.stop(_CLOSE_S + duration_s)
             began_ns = server.began_ns
@@ -136,9 +136,9 @@ def drive_online(
 class _Process:
     """The online command, and its last message."""
 
-    def __init__(self, command: list[str], say: Callable[[str], None]) -> None:
+    def __init__(self, command: list[str], echo: Callable[[str], None]) -> None:
         self.last = ""
-        self._say = say
+        self._echo = echo
         self._child = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
             start_new_session=True,
@@ -149,7 +149,7 @@ class _Process:
     def _listen(self) -> None:
         for line in self._child.stderr or ():
             self.last = line.strip()
-            self._say(f"  online: {self.last}")
+            self._echo(f"  online: {self.last}")
 
     def check(self) -> None:
         """Raise RunError if it has ended."""
@@ -183,12 +183,12 @@ class _Process:
 
 @contextmanager
 def _online(
-    config: Path, folder: Path, say: Callable[[str], None], most_s: float
+    config: Path, folder: Path, echo: Callable[[str], None], most_s: float
 ) -> Iterator[_Process]:
     process = _Process(
         [sys.executable, "-m", "slam", "online", "--config", str(config),
          "--out", str(folder / "online"), "--seconds", str(most_s)],
-        say,
+        echo,
     )  # fmt: skip
     try:
         yield process

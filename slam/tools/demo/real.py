@@ -20,7 +20,7 @@ from slam.tools.imports import import_log
 GRAPH = Path("data", "killian.g2o.zip")
 
 
-def run_real_demo(out: Path, say: Callable[[str], None]) -> None:
+def run_real_demo(out: Path, echo: Callable[[str], None]) -> None:
     """Make log, run and report of a real building in `out`; print what came of it.
 
     The scans lie about half a metre apart, so this shows matching, closing and the back end, not
@@ -34,7 +34,7 @@ def run_real_demo(out: Path, say: Callable[[str], None]) -> None:
     with new_run(out) as partial:
         log, run = partial / "killian.mcap", partial / "killian"
         imported = import_log(graph, log)
-        say(f"mapping {imported.scans} scans of the Killian Court; this takes a minute or two")
+        echo(f"mapping {imported.scans} scans of the Killian Court; this takes a minute or two")
         summary = replay(log, run, load_config(None), processes=worker_count())
         reports = write_report([run], None, partial / "report.html")
     figures, loops = reports[0].figures, summary["loops"]
@@ -43,7 +43,7 @@ def run_real_demo(out: Path, say: Callable[[str], None]) -> None:
         f"{summary['distance_m']:.0f} m in {summary['timing']['wall_s']:.0f} s; "
         f"{figures['ate_rmse_m']:.2f} m rmse from the solution that came with the scans"
     )
-    say(f"map:    {out / 'killian' / 'map.png'}")
+    echo(f"map:    {out / 'killian' / 'map.png'}")
     Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
 
 

@@ -66,6 +66,6 @@ def test_no_command_has_an_option_twice():
 
 def test_the_demo_says_what_one_drive_proves(tmp_path, monkeypatch):
     said = []
-    monkeypatch.setattr("slam.tools.demo.demo._compare", lambda out, say, direct: "table")
+    monkeypatch.setattr("slam.tools.demo.demo._compare", lambda out, echo, direct: "table")
     run_demo(tmp_path / "demo", said.append, direct=True)
     assert any("one drive proves nothing" in text for text in said)

@@ -30,8 +30,8 @@ def fingerprints(run):
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_ten_replays_paced_and_not_from_decoded_and_raw_are_the_run_itself(tmp_path):
-    say = print  # figures, shown by `pytest -s`
-    drive_online(tmp_path, load_config(None), say)
+    echo = print  # figures, shown by `pytest -s`
+    drive_online(tmp_path, load_config(None), echo)
     online = fingerprints(tmp_path / "online")
     for k in range(10):
         source, rate = ("decoded", "raw")[k % 2], ("0", "0", "1", "1", "5")[k // 2]
@@ -43,7 +43,7 @@ def test_ten_replays_paced_and_not_from_decoded_and_raw_are_the_run_itself(tmp_p
             env=os.environ | {"PYTHONHASHSEED": str(k), "OMP_NUM_THREADS": str(1 + k % 2)},
         )  # fmt: skip
         assert done.returncode in (0, 3)  # 3: of a busy machine's recording something is missing
-        say(f"replay {k}: {source}, rate {rate}, {time.monotonic() - began:.1f} s")
+        echo(f"replay {k}: {source}, rate {rate}, {time.monotonic() - began:.1f} s")
         assert fingerprints(out) == online, (source, rate)
     for name, digest in online.items():
-        say(f"{name:<16} {digest}")
+        echo(f"{name:<16} {digest}")
