@@ -101,6 +101,8 @@ def _scans(bag: Bag, decode: Decoder, plan: Plan) -> Iterator[tuple[int, int, La
         except MalformedError:
             continue
         number += 1
+        if number == len(plan.scan_stamps):
+            return  # a damaged database may give more the second time
         stamp_ns = int(plan.scan_stamps[number])
         if stamp_ns != DROPPED:
             scan = scan_of(message, stamp_ns)
@@ -130,13 +132,18 @@ def _placed(bag: Bag, decode: Decoder, plan: Plan) -> Iterator[tuple[SensorMessa
             emitted += 1
 
     def everything() -> Iterator[tuple[WheelOdometry | LaserScan, int]]:
+        nonlocal emitted
         for item in _scans(bag, decode, plan):
             heapq.heappush(waiting, item)
             yield from ready()
-        yield from ready()
+        while waiting or following is not None:
+            yield from ready()
+            ranks = [waiting[0][0]] if waiting else []
+            ranks += [following[0]] if following is not None else []
+            emitted = max(emitted, min(ranks, default=emitted))  # over scans that did not come
 
-    for message, receipt_ns in everything():
-        if emitted == 0:
+    for number, (message, receipt_ns) in enumerate(everything()):
+        if number == 0:
             extrinsics = LaserExtrinsics(message.stamp_ns, mount.x, mount.y, mount.theta)
             yield extrinsics, receipt_ns
         yield message, receipt_ns

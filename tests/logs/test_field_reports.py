@@ -605,3 +605,11 @@ def test_a_laser_that_turns_is_no_odometry(read):
 def test_nothing_is_named_at_all(read):
     (warning,) = read(drive(child="", laser="", mount=None)).log.warnings
     assert "no transform from the base to the laser" in warning
+
+
+def test_a_definition_with_damaged_words_is_not_believed(tmp_path: Path):
+    text = bags.STORE.generate_msgdef(SCAN, ros_version=2)[0]
+    for old, new in (("Header header", "Header hxader"), ("float32[] ranges", "float64[] ranges")):
+        assert old in text
+        schemas = {"/scan": ("ros2msg", text.replace(old, new).encode())}
+        assert Read(bags.write_mcap(tmp_path / "a.mcap", drive(), schemas=schemas)).is_drive()

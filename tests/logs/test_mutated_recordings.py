@@ -19,6 +19,9 @@ pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 from slam.logs.errors import LogError
 from slam.logs.importers.detect import read_any
 
+from tests.logs import bags
+from tests.logs.bags import Maker, drive
+
 REAL = Path(__file__).parents[2].parent / "shared" / "data" / "real"
 HANG_S = 30  # of processor time: another program may have the machine meanwhile
 MEMORY_BYTES = 1 << 30  # beyond what the process has when it starts
@@ -33,6 +36,8 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     """Flip, cut, swap, repeat or blank pieces; damage to headers is as likely as to the rest."""
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 3, 20))):
+        if len(out) < 2:
+            break
         at = rng.randrange(min(len(out), rng.choice((200, 5000, len(out)))))
         length = rng.choice((1, 1, 4, 8, 100, 4096))
         kind = rng.randrange(6)
@@ -147,6 +152,28 @@ def check(count: int, folder: Path) -> None:
 
 def test_a_few_mutated_recordings_are_imported_or_refused(tmp_path):
     check(18, tmp_path)
+
+
+def containers(folder: Path) -> list[Path]:
+    """A short drive in every container, unpacked, so that damage reaches every word of it."""
+    ros1 = drive(10, make=Maker(ros1=True))
+    return [
+        bags.write_mcap(folder / "a.mcap", drive(10), compression=bags.CompressionType.NONE),
+        bags.write_mcap(folder / "b.mcap", drive(10), use_chunking=False),
+        bags.write_mcap(folder / "c.mcap", ros1, ros1=True, use_chunking=False),
+        bags.write_bag1(folder / "d.bag", ros1),
+        next(bags.write_bag2(folder / "e", drive(10), sqlite=True).glob("*.db3")),
+    ]
+
+
+@pytest.mark.parametrize("first", [150, 900])
+def test_damage_anywhere_in_a_container_is_one_clear_line(tmp_path, first):
+    sources = containers(tmp_path)
+    for seed in range(first, first + 50):
+        source = sources[seed % len(sources)]
+        path = tmp_path / f"m{source.suffix}"
+        path.write_bytes(mutated(source.read_bytes(), random.Random(seed)))
+        assert one(path) in ("whole", "with losses", "refused"), seed
 
 
 @pytest.mark.slow

@@ -66,13 +66,15 @@ def _stores_for(channel: Channel) -> list[Any]:
     if not channel.definition:
         return [standard]
     try:
-        types = _parsed(channel)
-        store = get_typestore(Stores.EMPTY)
         # A definition may leave out the types within it, which are standard ones here.
-        store.register(_closed(channel.kind, {**standard.fielddefs, **types}))
+        types = _closed(channel.kind, {**standard.fielddefs, **_parsed(channel)})
+        if not _compatible(types, standard.fielddefs):
+            return [standard]
+        store = get_typestore(Stores.EMPTY)
+        store.register(types)
     except _damage():
         return [standard]
-    return [store, standard] if channel.kind in types else [standard]
+    return [store, standard]
 
 
 def _parsed(channel: Channel) -> dict[str, Any]:
@@ -86,6 +88,19 @@ def _parsed(channel: Channel) -> dict[str, Any]:
         if text.strip():
             types.update(get_types_from_idl(text))
     return types
+
+
+def _compatible(types: dict[str, Any], standard: dict[str, Any]) -> bool:
+    """Whether every type has the fields that the standard one of its name has.
+
+    A file may define more; where something is missing, the definition is damaged.
+    """
+    for name, (_, fields) in types.items():
+        found = dict(fields)
+        for field, kind in standard[name][1] if name in standard else ():
+            if found.get(field) != kind:
+                return False
+    return True
 
 
 def _closed(kind: str, types: dict[str, Any]) -> dict[str, Any]:

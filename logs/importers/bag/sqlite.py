@@ -15,6 +15,8 @@ from slam.logs.importers.bag.channels import Account, BagMessage, Channel, Wante
 
 MAGIC = b"SQLite format 3\0"
 MESSAGE_LIMIT = 256 << 20  # bytes of one message, packed or not
+# ValueError: words of the file in the messages of sqlite's own errors are no text.
+_DAMAGE = (sqlite3.Error, ValueError, OverflowError, MemoryError)
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # of messages that the recorder compressed one by one
 
 
@@ -32,7 +34,7 @@ class SqliteBag:
             with closing(self._open()) as database:
                 channels = self._channels(database)
                 yield from self._rows(database, channels, wanted, account)
-        except (sqlite3.Error, OverflowError) as error:
+        except _DAMAGE as error:
             raise LogError(
                 f"{self._path}: cannot be read as a ROS bag: {shown(str(error))}"
             ) from error
@@ -41,14 +43,14 @@ class SqliteBag:
         # A recorder that was cut off leaves its last messages in a file beside; that can only
         # be taken in where sqlite may write, so it is tried first.
         beside = self._path.with_name(self._path.name + "-wal").exists()
-        last: sqlite3.Error | None = None
+        last: Exception | None = None
         for how in ("mode=ro", "immutable=1") if beside else ("immutable=1",):
             database = sqlite3.connect(f"file:{quote(str(self._path))}?{how}", uri=True)
             database.text_factory = lambda raw: raw.decode("utf-8", "replace")
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_LIMIT)
             try:
                 database.execute("SELECT id FROM topics LIMIT 1").fetchall()
-            except sqlite3.Error as error:
+            except _DAMAGE as error:
                 database.close()
                 last = error
                 continue
@@ -63,7 +65,7 @@ class SqliteBag:
                 "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             )
             definitions = {str(kind): (str(form), str(text)) for kind, form, text in rows}
-        except sqlite3.Error:
+        except _DAMAGE:
             pass  # recorders before Iron had no such table
         channels = {}
         rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
@@ -88,7 +90,7 @@ class SqliteBag:
         while True:
             try:
                 row = rows.fetchone()
-            except (sqlite3.Error, OverflowError, MemoryError):
+            except _DAMAGE:
                 account.skipped["rest of the bag: it is damaged or cut off"] += 1
                 return
             if row is None:
