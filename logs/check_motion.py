@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from slam.logs.findings import Finding, seconds
 from slam.logs.messages import LaserExtrinsics, WheelOdometry
 
-TOP_SPEED = 3.0  # m/s; a P3-DX does 1.2
-TOP_TURN_RATE = 6.3  # rad/s; a P3-DX does 5.2
+# Beyond what any indoor robot of this size does; the limits of one robot are in `[robot]`.
+TOP_SPEED = 3.0  # m/s
+TOP_TURN_RATE = 6.3  # rad/s
 LEAST_STEP_M, LEAST_STEP_RAD = 0.1, 0.2
 JITTER_S = 0.15  # by so much stamps may be off between neighbours
 ALONE_S = 1.0  # without odometry for so long a scan is on its own

@@ -104,7 +104,7 @@ def bounds(config):
     """Shortest and longest interval, m."""
     if config.method == "constant":
         return config.interval, config.interval
-    if config.foresees:
+    if config.predicts:
         return SHORTEST_M, config.longest
     return config.min_interval, config.max_interval
 
