@@ -36,22 +36,27 @@ class _KnownLog:
 
 
 def bench_altered_logs(
-    out: Path,
-    data: Path,
-    quick: bool,
-    echo: Callable[[str], None],
-    names: Sequence[str] = (),
-    config: SlamConfig | None = None,
+    out: Path, data: Path, quick: bool, echo: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Every log of `data` (or `names` alone) with each alteration; one short log with `quick`.
+    """Every log of `data` with each alteration; one short log with `quick`.
+
+    Raises:
+        RunError: no log is there.
+    """
+    names = QUICK if quick else known_logs(data)
+    return compare_alterations(out, data, names, echo, SlamConfig())
+
+
+def compare_alterations(
+    out: Path, data: Path, names: Sequence[str], echo: Callable[[str], None], config: SlamConfig
+) -> dict[str, Any]:
+    """Some logs under one configuration.
 
     Results are kept in `out`/altered-logs.jsonl: the same command goes on where it was stopped.
 
     Raises:
         RunError: no log is there.
-    """  # fmt: skip
-    config = config or SlamConfig()
-    names = names or (QUICK if quick else known_logs(data))
+    """
     if not names:
         raise RunError(f"{data}: no benchmark/NAME.relations and no keyframes/NAME.ref.tum")
     kept = KeptRuns(out / "altered-logs.jsonl", config)

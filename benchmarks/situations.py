@@ -25,19 +25,19 @@ SEEDS = 3
 SLOW = ("long-loop",)  # left out of the quick campaign
 
 
-def bench_situations(
-    out: Path,
-    quick: bool,
-    echo: Callable[[str], None],
-    names: Sequence[str] = (),
-    config: SlamConfig | None = None,
+def bench_situations(out: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
+    """Every situation with three seeds; one seed and no slow drives with `quick`."""
+    names = [name for name in SITUATIONS if not (quick and name in SLOW)]
+    return compare_situations(out, names, quick, echo, SlamConfig())
+
+
+def compare_situations(
+    out: Path, names: Sequence[str], quick: bool, echo: Callable[[str], None], config: SlamConfig
 ) -> dict[str, Any]:
-    """Every situation (or `names` alone) with three seeds; one and no slow drives with `quick`.
+    """Some situations under one configuration.
 
     Results are kept in `out`/situations.jsonl: the same command goes on where it was stopped.
-    """  # fmt: skip
-    config = config or SlamConfig()
-    names = names or [name for name in SITUATIONS if not (quick and name in SLOW)]
+    """
     kept = KeptRuns(out / "situations.jsonl", config)
     seeds = range(1, (1 if quick else SEEDS) + 1)
     for name in names:

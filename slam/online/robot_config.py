@@ -183,9 +183,13 @@ def _is_of_a_robot(path: Path) -> bool:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # who loads it says what is wrong
         return False
-    return bool({"robot", "laser", "slam"} & found.keys())
+    devices = (found.get("robot"), found.get("laser"))  # settings of a run have these sections too
+    ports = [one for one in devices if isinstance(one, dict) and "port" in one]
+    return bool(ports or "slam" in found)
 
 
 def _full_name(override: str) -> str:
     section = override.partition("=")[0].partition(".")[0].strip()
-    return f"slam.{override.strip()}" if section in SlamConfig.model_fields else override
+    own = section in RobotConfig.model_fields  # of a device, even where the pipeline has one too
+    short = section in SlamConfig.model_fields and not own
+    return f"slam.{override.strip()}" if short else override

@@ -6,7 +6,7 @@ import pytest
 import tomli_w
 from slam.drivers.pioneer_decoder import MODELS
 
-from slam.online.robot_config import RobotConfig, load_robot
+from slam.online.robot_config import RobotConfig, load_robot, load_slam
 from slam.runs.config_file import known_keys
 from slam.runs.errors import ConfigError
 
@@ -95,3 +95,11 @@ def test_the_reference_names_every_setting():
     page = (Path(__file__).parents[3] / "docs" / "online.md").read_text()
     settings = [key for key in known_keys(RobotConfig) if "." in key and "slam." not in key]
     assert [key for key in settings if f"`{key}`" not in page] == []
+
+
+def test_settings_of_a_run_are_not_taken_for_those_of_a_robot(tmp_path):
+    """Both have sections `[laser]` and `[robot]`; a robot's name ports."""
+    settings = tmp_path / "slam.toml"
+    settings.write_text("[laser]\nrange_noise = 0.03\n\n[robot]\nmax_speed = 1.0\n")
+    assert load_slam(settings).laser.range_noise == 0.03
+    assert load_slam(settings).robot.max_speed == 1.0
