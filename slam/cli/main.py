@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 import traceback
+import warnings
 from types import FrameType
 
 _CLOSED = 141  # 128 + SIGPIPE: what shells give for a program whose reader has gone
@@ -34,6 +35,7 @@ def main() -> None:
         if number and (name != "SIGHUP" or signal.getsignal(number) != signal.SIG_IGN):  # nohup
             signal.signal(number, _on_signal)
     stdout = _another_handle()
+    warnings.showwarning = _show_warning
     try:
         # Takes a third of a second, in which a person may press Ctrl-C.
         from slam.cli.app import app
@@ -59,6 +61,10 @@ def main() -> None:
             traceback.print_exception(error)
         _echo(f"slam: {line}")
         raise SystemExit(1) from error
+
+
+def _show_warning(message: Warning | str, *where: object, **more: object) -> None:
+    _echo(f"slam: note: {message}")
 
 
 def _another_handle() -> int | None:
