@@ -23,7 +23,7 @@ from benchmarks.paper.drives import (
     sdp_pe,
 )
 from benchmarks.paper.figures import draw_comparison
-from benchmarks.paper.icp import drop_longest, part_rivals
+from benchmarks.paper.icp import drop_longest, one_to_one_pairs
 from benchmarks.paper.paper import FIRST_TRAINING_SEED, SEEDS, Setting, compared, row
 from benchmarks.paper.report import write_paper_report
 from benchmarks.paper.spread import median_ci95
@@ -109,7 +109,7 @@ def test_the_open_icp_is_the_matcher_where_both_have_the_same_rules(drive):
 
 def test_one_to_one_leaves_each_target_to_the_closest():
     partner, square = np.array([4, 4, 2, 4, -1]), np.array([3.0, 1.0, 9.0, 2.0, 5.0])
-    part_rivals(partner, square, 6)
+    one_to_one_pairs(partner, square, 6)
     assert partner.tolist() == [-1, 4, 2, -1, -1]
 
 
