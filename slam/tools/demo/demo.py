@@ -38,7 +38,7 @@ def run_demo(out: Path, echo: Callable[[str], None], direct: bool = False) -> No
     Console().print(table)
     echo(
         "one drive proves nothing: which choice ends nearer changes from drive to drive; "
-        "docs/method.md has the means of many"
+        "docs/results.md has the means of many"
     )
     echo(f"map:    {out / 'sdp-pe' / 'map.png'}")
     Console(soft_wrap=True).print(f"report: {out / 'report.html'}")
