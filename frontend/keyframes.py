@@ -45,7 +45,7 @@ class KeyframeConfig(BaseModel):
     # Fitted by `slam bench weights` on simulated drives (test bed, corridor, mixed, clutter; seeds
     # 1000 to 1005) to the least variance a metre, with the limits above and as many matches as a
     # constant interval of 0.3 m; left and right alike.  It found 0.203, 0.001 and 2.917; judged on
-    # other seeds and worlds, these do no better than that constant (docs/method.md).
+    # other seeds and worlds, these do no better than that constant (docs/results.md).
     t_low: float = Field(0.0, ge=0, description="T_PE at which the interval is the shortest")
     t_high: float = Field(2.9, gt=0, description="T_PE at which the interval is the longest")
     weights: tuple[float, float, float, float] = Field(
