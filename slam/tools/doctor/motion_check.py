@@ -14,13 +14,11 @@ import numpy as np
 from gtsam import Pose2
 
 from slam.backend.chi_square import chi_square_limit
-from slam.frontend.match_types import MatchConfig, MatchResult, Reference
-from slam.frontend.matching import match
-from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.findings import Finding, Severity
-from slam.logs.messages import LaserExtrinsics, LaserScan, Message
+from slam.logs.messages import LaserExtrinsics, Message
 from slam.mapping.odometry import OdometryConfig
 from slam.tools.doctor.motion_fit import MotionFit, fit_motion
+from slam.tools.doctor.motion_match import NO_MOUNT, Judged, PairMatcher
 from slam.tools.doctor.motion_pairs import BLOCK, Pair, PairCollector
 
 LEAST_PAIRS = 12  # that can be judged, for anything to be said of the whole log
@@ -31,20 +29,11 @@ YAW, YAW_ERROR = math.radians(2.0), math.radians(20.0)  # 2 degrees bend 10 m by
 PLACE_M = 0.10
 FALSE_ALARM = 1e-6  # how often an honest pair may be called a slip
 MANY = 0.3  # of the pairs: then it is not an accident
-
-_GOOD_QUALITY, _GOOD_EXPLAINED = 0.6, 0.7
-_SEES_M = 0.02  # sigma along the axis that the scans see worst
-_RIVAL = 0.85  # of the best quality: as good an answer, if it is another one
-_SAME_M, _SAME_RAD = 0.05, 0.03  # within these it is the same answer
-_MATCHER = MatchConfig()
+LEAST_SWING = 0.3  # rad/s: then a late stamp shows above the noise of the match
+LEAST_SWINGS = 6  # so many such pairs
+_MOST, _MOST_SIGMAS = 0.8, 1.28  # so many of all errors are below so many sigmas
+_MEDIAN = 2.366  # of a chi-square variable of three degrees of freedom
 _MATCH_VARIANCE = np.diag([0.01, 0.01, 0.005]) ** 2  # m, m, rad: also of stamps and moving things
-_NO_MOUNT = LaserExtrinsics(0, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Judged:
-    pair: Pair
-    laser: Pose2  # first_T_second of the laser, by matching
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -52,7 +41,7 @@ class _Dispute:
     """Pairs, one or some in a row, over which wheels and scans disagree."""
 
     pairs: Sequence[Pair]
-    wheels: Pose2  # by the wheels, what is systematic taken out
+    wheels: Pose2  # as they count
     scans: Pose2
     excess: float  # chi-square over what honest wheels may have
 
@@ -69,60 +58,22 @@ class MotionCheck:
 
     def findings(self) -> Iterator[Finding]:
         """Yield what is odd."""
-        extrinsics = self._collector.extrinsics or _NO_MOUNT
+        extrinsics = self._collector.extrinsics or NO_MOUNT
         place = complex(extrinsics.x, extrinsics.y)
-        matcher = _Matcher(Pose2(extrinsics.x, extrinsics.y, extrinsics.theta))
+        matcher = PairMatcher(Pose2(extrinsics.x, extrinsics.y, extrinsics.theta))
         judged = [j for p in self._collector.moving.pairs() if (j := matcher.judge(p))]
         if len(judged) < LEAST_PAIRS:
             return
         fit = fit_motion(*_steps(judged), place)
         yield from _systematic(fit, extrinsics)
         still = [j for p in self._collector.still.pairs() if (j := matcher.judge(p))]
-        yield from _disputed(_disputes(judged, fit) + _disputes(still, fit), judged + still)
+        late_s = _late_s(judged, fit)
+        spread = _spread(judged, fit, late_s)
+        disputes = _disputes(judged, fit, spread, late_s) + _disputes(still, fit, spread, late_s)
+        yield from _disputed(disputes, judged + still)
 
 
-class _Matcher:
-    """Matches pairs; neighbours share a scan, which is prepared once."""
-
-    def __init__(self, base_T_laser: Pose2) -> None:
-        self._base_T_laser = base_T_laser
-        self._last: tuple[LaserScan, PreparedScan] | None = None
-
-    def judge(self, pair: Pair) -> _Judged | None:
-        """The laser's step; None if the scans do not determine it."""
-        first, second = self._prepared(pair.first), self._prepared(pair.second)
-        by_wheels = self._base_T_laser.inverse() * pair.step * self._base_T_laser
-        # What the wheels say, nothing, and the opposite: each has a start that would be right.
-        starts = (by_wheels, Pose2(), by_wheels.inverse())
-        results = [match([Reference(Pose2(), first)], second, start, _MATCHER) for start in starts]
-        best = max(results, key=lambda result: result.inlier_fraction * result.converged)
-        if not _sure(best) or any(_rivals(best, result) for result in results):
-            return None
-        return _Judged(pair, best.target_T_source)
-
-    def _prepared(self, scan: LaserScan) -> PreparedScan:
-        if self._last is None or self._last[0] is not scan:
-            self._last = scan, prepare(scan, _NO_MOUNT, ScanConfig())
-        return self._last[1]
-
-
-def _rivals(best: MatchResult, other: MatchResult) -> bool:
-    """Whether another start ends elsewhere and explains the scan about as well."""
-    if not other.converged or other.inlier_fraction < _RIVAL * best.inlier_fraction:
-        return False
-    apart = best.target_T_source.between(other.target_T_source)
-    return max(abs(apart.x()), abs(apart.y())) > _SAME_M or abs(apart.theta()) > _SAME_RAD
-
-
-def _sure(result: MatchResult) -> bool:
-    if not result.converged or result.inlier_fraction < _GOOD_QUALITY:
-        return False
-    if result.pair_inlier_fraction < _GOOD_EXPLAINED:
-        return False
-    return float(np.linalg.eigvalsh(result.covariance[:2, :2])[-1]) < _SEES_M**2
-
-
-def _steps(judged: Sequence[_Judged]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _steps(judged: Sequence[Judged]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     steps = [(j.pair.step, j.laser) for j in judged]
     wheels, laser = (
         np.array([complex(pose[k].x(), pose[k].y()) for pose in steps]) for k in (0, 1)
@@ -176,32 +127,77 @@ def _severity(off: float, error: float) -> Severity:
     return "error" if off > error else "warning"
 
 
-def _disputes(judged: Sequence[_Judged], fit: MotionFit) -> list[_Dispute]:
+def _disputes(
+    judged: Sequence[Judged], fit: MotionFit, spread: float, late_s: float
+) -> list[_Dispute]:
     """Single pairs and blocks of neighbours that sound wheels could not give."""
-    found = []
+    groups = [*([j] for j in judged), *_rows_of(judged)]
+    compared = (_compared(group, fit, spread, late_s) for group in groups)
+    return [dispute for dispute in compared if dispute.excess > 1.0]
+
+
+def _late_s(judged: Sequence[Judged], fit: MotionFit) -> float:
+    """How far the times of wheels and scans are apart by turns, one sigma, s; 0 unless it shows.
+
+    Only a robot that turns differently at both ends of a pair shows it: stamps that are late
+    move a part of the turn into the next pair.
+    """
+    scale = fit.turn_scale if math.isfinite(fit.turn_scale) else 1.0
+    late = [
+        abs(scale * one.pair.step.theta() - one.laser.theta()) / swing
+        for one in judged
+        if (swing := abs(one.pair.speed_after[1] - one.pair.speed[1])) > LEAST_SWING
+    ]
+    if len(late) < LEAST_SWINGS:
+        return 0.0
+    late_s = float(np.quantile(late, _MOST)) / _MOST_SIGMAS
+    return late_s if late_s > OdometryConfig().sync else 0.0  # which is allowed for anyway
+
+
+def _spread(judged: Sequence[Judged], fit: MotionFit, late_s: float) -> float:
+    """By how much the log's own pairs scatter more than honest ones would; 1 at least.
+
+    Stamps that are late by turns and motion within a sweep let every step differ: an accident
+    has to stand out from what is ordinary in its log.
+    """
+    limit = chi_square_limit(FALSE_ALARM, 3)
+    usual = np.median([_compared([one], fit, 1.0, late_s).excess for one in judged])
+    return max(1.0, float(usual) * limit / _MEDIAN)
+
+
+def _compared(group: Sequence[Judged], fit: MotionFit, spread: float, late_s: float) -> _Dispute:
+    """Neighbours as wheels and scans have them, with what is systematic taken out."""
     extrinsics = Pose2(fit.place.real, fit.place.imag, fit.yaw)
-    turn_scale = fit.turn_scale if math.isfinite(fit.turn_scale) else 1.0
-    for group in [*([j] for j in judged), *_rows_of(judged)]:
-        wheels, scans = Pose2(), Pose2()
-        distance_m = turn_rad = 0.0  # by the scans: lying wheels must not excuse themselves
-        for one in group:
-            step, scale = one.pair.step, fit.distance_scale
-            wheels *= Pose2(scale * step.x(), scale * step.y(), turn_scale * step.theta())
-            seen = extrinsics * one.laser * extrinsics.inverse()
-            scans *= seen
-            distance_m += math.hypot(seen.x(), seen.y())
-            turn_rad += abs(seen.theta())
-        pairs = [one.pair for one in group]
-        honest = OdometryConfig().covariance(distance_m, turn_rad, sum(p.seconds for p in pairs))
-        error = Pose2.Logmap(wheels.between(scans))
-        distance = float(error @ np.linalg.solve(honest + len(group) * _MATCH_VARIANCE, error))
-        excess = distance / chi_square_limit(FALSE_ALARM, 3)
-        if excess > 1.0:
-            found.append(_Dispute(pairs, wheels, scans, excess))
-    return found
+    known = math.isfinite(fit.turn_scale)
+    turn_scale, turn_sigma = (fit.turn_scale, fit.turn_sigma) if known else (1.0, 0.0)
+    wheels, corrected, scans = Pose2(), Pose2(), Pose2()
+    distance_m = turn_rad = 0.0  # by the scans: faulty wheels must not widen their own limits
+    for one in group:
+        step, scale = one.pair.step, fit.distance_scale
+        wheels *= step
+        corrected *= Pose2(scale * step.x(), scale * step.y(), turn_scale * step.theta())
+        seen = extrinsics * one.laser * extrinsics.inverse()
+        scans *= seen
+        distance_m += math.hypot(seen.x(), seen.y())
+        turn_rad += abs(seen.theta())
+    pairs = [one.pair for one in group]
+    seconds = sum(pair.seconds for pair in pairs)
+    honest = OdometryConfig().covariance(distance_m, turn_rad, seconds)
+    unsure = (
+        fit.distance_sigma * distance_m, fit.yaw_sigma * distance_m + fit.place_sigma * turn_rad,
+        turn_sigma * turn_rad,
+    )  # fmt: skip
+    faster, turning = (
+        late_s * abs(b - a) for a, b in zip(pairs[0].speed, pairs[-1].speed_after, strict=True)
+    )
+    honest += np.diag(unsure) ** 2 + len(group) * _MATCH_VARIANCE
+    honest += np.diag([faster, faster, turning]) ** 2
+    error = Pose2.Logmap(corrected.between(scans))
+    distance = float(error @ np.linalg.solve(honest, error))
+    return _Dispute(pairs, wheels, scans, distance / spread / chi_square_limit(FALSE_ALARM, 3))
 
 
-def _rows_of(judged: Sequence[_Judged]) -> Iterator[Sequence[_Judged]]:
+def _rows_of(judged: Sequence[Judged]) -> Iterator[Sequence[Judged]]:
     """Blocks of neighbours without a gap."""
     for k in range(len(judged) - BLOCK + 1):
         group = judged[k : k + BLOCK]
@@ -209,7 +205,7 @@ def _rows_of(judged: Sequence[_Judged]) -> Iterator[Sequence[_Judged]]:
             yield group
 
 
-def _disputed(disputes: Sequence[_Dispute], judged: Sequence[_Judged]) -> Iterator[Finding]:
+def _disputed(disputes: Sequence[_Dispute], judged: Sequence[Judged]) -> Iterator[Finding]:
     if not disputes:
         return
     lone = len(disputes) == 1  # which may as well be the fault of a single match

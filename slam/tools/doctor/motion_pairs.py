@@ -25,6 +25,9 @@ _BEAMS_LIMIT = 8192
 _WAITING = 256  # scans that wait for the odometry behind them
 
 
+Speed = tuple[float, float]  # m/s without sign, rad/s with it
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Pair:
     """Two scans, and the base's step from the first to the second by the wheels."""
@@ -36,6 +39,9 @@ class Pair:
     distance_m: float  # along the path
     turn_rad: float
     seconds: float
+    between: LaserScan | None = None  # taken about half-way
+    speed: Speed = (0.0, 0.0)  # by the wheels at the first scan: what a late stamp is worth
+    speed_after: Speed = (0.0, 0.0)  # likewise at the second
 
 
 class Blocks:
@@ -68,6 +74,7 @@ class Blocks:
 class _Placed:
     scan: LaserScan
     pose: Pose2  # odom_T_base
+    speed: Speed
     distance_m: float  # along the path, since the log began
     turn_rad: float
 
@@ -83,6 +90,7 @@ class PairCollector:
         self._last: WheelOdometry | None = None
         self._start: _Placed | None = None
         self._before: _Placed | None = None
+        self._since: list[LaserScan] = []  # the start, which are candidates for `between`
 
     def feed(self, message: Message) -> None:
         """Take in one message; unusable ones are passed over."""
@@ -102,12 +110,14 @@ class PairCollector:
         while self._waiting and self._waiting[0].stamp_ns <= odometry.stamp_ns:
             scan = self._waiting.popleft()
             if last is not None and unbroken and scan.stamp_ns >= last.stamp_ns:
-                self._place(scan, _between(last, odometry, scan.stamp_ns))
+                pose = _between(last, odometry, scan.stamp_ns)
+                self._place(scan, pose, _speed(last, odometry))
 
-    def _place(self, scan: LaserScan, pose: Pose2) -> None:
+    def _place(self, scan: LaserScan, pose: Pose2, speed: Speed) -> None:
         before = self._before
         if before is None:
-            self._start = self._before = _Placed(scan, pose, 0.0, 0.0)
+            self._start = self._before = _Placed(scan, pose, speed, 0.0, 0.0)
+            self._since.clear()
             return
         if scan.stamp_ns <= before.scan.stamp_ns:
             return
@@ -115,6 +125,7 @@ class PairCollector:
         here = self._before = _Placed(
             scan,
             pose,
+            speed,
             before.distance_m + math.hypot(moved.x(), moved.y()),
             before.turn_rad + abs(moved.theta()),
         )
@@ -123,13 +134,28 @@ class PairCollector:
         distance, turn = here.distance_m - start.distance_m, here.turn_rad - start.turn_rad
         seconds = (scan.stamp_ns - start.scan.stamp_ns) * 1e-9
         if distance < STEP_M and turn < STEP_RAD and seconds < STEP_S:
+            self._since.append(scan)
             return
         self._start = here
+        between = self._since[len(self._since) // 2] if self._since else None
+        self._since.clear()
         if distance <= FARTHEST_M and turn <= FARTHEST_RAD and seconds <= 2.0 * STEP_S:
             stands = distance < STILL_M and turn < STILL_RAD
             blocks = self.still if stands else self.moving
             step = start.pose.between(pose)
-            blocks.add(Pair(blocks.seen, start.scan, scan, step, distance, turn, seconds))
+            blocks.add(
+                Pair(
+                    blocks.seen, start.scan, scan, step, distance, turn, seconds, between,
+                    start.speed, speed,
+                )
+            )  # fmt: skip
+
+
+def _speed(last: WheelOdometry, odometry: WheelOdometry) -> Speed:
+    """What the wheels did from one reading to the next."""
+    seconds = (odometry.stamp_ns - last.stamp_ns) * 1e-9
+    turn = math.remainder(odometry.theta - last.theta, math.tau)
+    return math.hypot(odometry.x - last.x, odometry.y - last.y) / seconds, turn / seconds
 
 
 def _between(last: WheelOdometry, odometry: WheelOdometry, stamp_ns: int) -> Pose2:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from slam.drivers.simulators.faults import OdometryFault
 from slam.drivers.simulators.laser import LASERS
 from slam.drivers.simulators.robot import ODOMETRY_NOISE
 from slam.drivers.simulators.worlds import SCENARIOS, scenario
+from slam.logs.importers.detect import read_any
 from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
+from slam.tools.doctor import motion_check
 from slam.tools.doctor.motion_check import MotionCheck
 from slam.tools.doctor.motion_fit import fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Blocks, PairCollector
 
+REAL = Path(__file__).parents[3].parent / "shared" / "data" / "real"
 MOUNT = LaserExtrinsics(EPOCH_NS, 0.16, 0.0, 0.0)
 
 
@@ -62,6 +66,30 @@ def test_wheels_that_lie_for_a_moment_are_found_when_it_happens(kind):
     assert found.keys() == {"wheel-slip"}
     assert found["wheel-slip"].severity == "warning"
     assert 10.0 < (found["wheel-slip"].at_ns - EPOCH_NS) * 1e-9 < 13.0
+
+
+def test_scans_whose_stamps_come_late_by_turns_are_no_slip(monkeypatch):
+    rng = np.random.default_rng(3)
+    drive = list(office())
+    late = [replace(m, stamp_ns=m.stamp_ns + int(rng.choice([0, 1.5e8]))) if k % 2 else None
+            for k, m in enumerate(m for m in drive if isinstance(m, LaserScan))]  # fmt: skip
+    others = [m for m in drive if not isinstance(m, LaserScan)]
+    messages = sorted([*filter(None, late), *others], key=lambda m: m.stamp_ns)
+    assert findings(messages).keys() <= {"mount-yaw"}
+    monkeypatch.setattr(motion_check, "_late_s", lambda judged, fit: 0.0)
+    monkeypatch.setattr(motion_check, "_spread", lambda judged, fit, late_s: 1.0)
+    assert "wheel-slip" in findings(messages)
+
+
+@pytest.mark.parametrize("folder", ["neato24-square", "neato24-fsm", "neato18-test",
+                                    "neato18-avoid", "tb4-mac"])  # fmt: skip
+def test_real_wheels_are_not_accused(folder):
+    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
+    source = REAL / folder
+    if not source.is_dir():
+        pytest.skip(f"recordings of real robots are not at {REAL}")
+    source = next(source.glob("*.bag"), source)
+    assert findings(message for message, _ in read_any(source).received()) == {}
 
 
 def test_reversing_that_is_reported_as_going_forward():
