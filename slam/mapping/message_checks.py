@@ -7,6 +7,7 @@ import math
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 
 _FINEST_RAD = 1e-6  # from beam to beam; the finest lasers have 1e-3
+_FARTHEST_M = 1e7  # from where the odometry began: a quarter of the way round the earth
 _WIDEST_RAD = 2.1 * math.pi  # a full turn, and some rounding
 
 
@@ -17,6 +18,8 @@ def validate_message(message: Message) -> str:
     """
     if isinstance(message, WheelOdometry) and not _finite(message.x, message.y, message.theta):
         return "odometry that is not finite"
+    if isinstance(message, WheelOdometry) and max(abs(message.x), abs(message.y)) > _FARTHEST_M:
+        return "odometry where no robot can be"
     if isinstance(message, LaserExtrinsics) and not _finite(message.x, message.y, message.theta):
         return "laser mount that is not finite"
     if isinstance(message, LaserScan):

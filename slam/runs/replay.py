@@ -17,6 +17,7 @@ import numpy as np
 
 from slam.frontend.match_types import Prior, Reference
 from slam.frontend.matching import match
+from slam.logs.check_clocks import refuse_clocks_apart
 from slam.logs.messages import Message
 from slam.logs.parts import Recording
 from slam.mapping.config import SlamConfig
@@ -152,6 +153,8 @@ def run_log(
 
     recording = Recording(log)
     source_sha256 = file_sha256(*recording.files)
+    if not from_raw and recording.counts().get("/odom"):
+        refuse_clocks_apart(log.name, recording.receipts(("/scan", "/odom")))
     if not compiled():
         if progress is not None:
             progress("compiling", 0)
