@@ -14,6 +14,7 @@ from slam.logs.importers.breezyslam import looks_like_breezyslam, read_breezysla
 from slam.logs.importers.carmen import KINDS, read_carmen
 from slam.logs.importers.g2o_scans import read_g2o_scans
 from slam.logs.importers.imported import ImportedLog, StreamedLog
+from slam.logs.importers.rawlog import is_rawlog, read_rawlog
 from slam.logs.importers.rosbag import read_rosbag
 from slam.logs.importers.text_lines import lines
 from slam.logs.importers.wishes import Wishes
@@ -22,16 +23,12 @@ from slam.logs.mcap_file import MAGIC
 from slam.logs.mcap_open import is_ours
 
 SUPPORTED = (
-    "logs of CARMEN (.clf, .log), BreezySLAM (.dat) and ARIA (.2d), YDLidar text, ROS 1 bags, "
-    "ROS 2 bags (folder, .mcap, .db3), and g2o graphs with ROBOTLASER1 lines; texts plain or "
-    "gzipped"
+    "logs of CARMEN (.clf, .log), BreezySLAM (.dat), ARIA (.2d) and MRPT (.rawlog), YDLidar "
+    "text, ROS 1 bags, ROS 2 bags (folder, .mcap, .db3), and g2o graphs with ROBOTLASER1 lines; "
+    "texts plain or gzipped"
 )
 
 _FIELDS = 12_000  # of a line, at most: twice the beams of any laser
-_MRPT_CLASSES = (
-    *(b"CActionCollection", b"CSensoryFrame", b"CObservation2DRangeScan", b"CObservationOdometry"),
-    *(b"CObservationComment", b"CRawlog"),
-)
 _LINES_LOOKED_AT = 2000  # CARMEN logs may begin with hundreds of PARAM lines or comments
 _OURS = "{}: is an MCAP log already: use it with `slam replay`"
 _NO_WISHES = Wishes()
@@ -50,11 +47,13 @@ def read_any(path: Path | str, wishes: Wishes = _NO_WISHES) -> ImportedLog | Str
     if start.startswith(MAGIC[:6]):
         _require_foreign(path)
     elif not is_bag(path, start):
-        if asked := wishes.for_bags_only():
+        rawlog = is_rawlog(path)
+        asked = [option for option in wishes.for_bags_only() if not (rawlog and option == "--scan")]
+        if asked:
             raise LogError(f"{path}: is no ROS recording: leave {' and '.join(asked)} out")
         if start.startswith(g2o_scans.ZIP_MAGIC):
             return _read_graph(path, wishes)
-        return _read_text(path, wishes)
+        return read_rawlog(path, wishes) if rawlog else _read_text(path, wishes)
     return read_rosbag(path, wishes)
 
 
@@ -139,11 +138,6 @@ def _named(path: Path) -> str:
     start = b"".join(islice(lines(path, Counter()), 3))[:4096]
     if start.startswith((*ROS1_MAGICS, b"SQLite format 3", MAGIC[:6])):
         return "a recording that was packed with gzip: unpack it first"
-    if any(name in start for name in _MRPT_CLASSES):
-        return (
-            "a rawlog of MRPT, which cannot be read: `rawlog-edit --export-2d-scans-txt` and "
-            "`--export-odometry-txt` of MRPT write its scans and odometry as text"
-        )
     if start.startswith((b"VERTEX_SE3", b"VERTEX3", b"EDGE_SE3", b"EDGE3")):
         return "a pose graph in space without scans, which cannot be mapped"
     if start.startswith((b"VERTEX2", b"EDGE2", b"VERTEX ", b"EDGE ")):

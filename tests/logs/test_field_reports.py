@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
 
 from slam.logs.errors import LogError
+from slam.logs.importers.bag import files
 from slam.logs.importers.detect import read_any
 from slam.logs.importers.imported import StreamedLog
 from slam.logs.importers.wishes import Wishes, mount_in_words, parse_mount
@@ -613,3 +614,18 @@ def test_a_definition_with_damaged_words_is_not_believed(tmp_path: Path):
         assert old in text
         schemas = {"/scan": ("ros2msg", text.replace(old, new).encode())}
         assert Read(bags.write_mcap(tmp_path / "a.mcap", drive(), schemas=schemas)).is_drive()
+
+
+def test_packed_parts_are_unpacked_up_to_a_limit(tmp_path: Path, monkeypatch):
+    import zstandard
+
+    packed = tmp_path / "bomb.mcap.zstd"
+    whole = bags.write_mcap(tmp_path / "a.mcap", drive(400), compression=bags.CompressionType.NONE)
+    packed.write_bytes(zstandard.ZstdCompressor().compress(whole.read_bytes()))
+    assert Read(packed).is_drive(400)
+    monkeypatch.setattr(files, "UNPACKED_LIMIT", 1 << 17)
+    with pytest.raises(LogError, match=r"unpacks to more than 0 MB: unpack the parts with `zstd"):
+        Read(packed)
+    packed.write_bytes(zstandard.ZstdCompressor().compress(bytes(1 << 26)))  # 64 MB in 2 kB
+    with pytest.raises(LogError, match="unpacks to more than"):
+        Read(packed)

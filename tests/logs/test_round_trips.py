@@ -21,7 +21,7 @@ from slam.logs.importers.detect import read_any
 from slam.logs.importers.wishes import Wishes
 from slam.logs.messages import LaserExtrinsics, LaserScan, TruePose, WheelOdometry
 
-from tests.logs import bags
+from tests.logs import bags, rawlogs
 from tests.logs.bags import ODOMETRY, SCAN, TF, Item, Maker
 
 names = st.sampled_from(("scan", "base_scan", "laser", "lidar/front", "hokuyo_node/scan_raw"))
@@ -188,6 +188,51 @@ def from_carmen(drives, draw) -> None:
         check_same(back, [m for m in expected(messages) if isinstance(m, WheelOdometry)], 0.0)
 
 
+def from_rawlog(drives, draw) -> None:
+    messages, mount = drives(draw(WORLDS)), draw(mounts)
+    version, prefix = draw(st.integers(4, 8)), draw(st.sampled_from(("", "mrpt::obs::")))
+    label = draw(st.sampled_from(("LASER1", "FRONT", ""))) if version >= 5 else ""
+    steps = draw(st.booleans())  # odometry as steps from frame to frame
+    made, wanted, last = [], expected(messages), (0.0, 0.0, 0.0)
+    if steps:
+        scans = {m.stamp_ns for m in wanted if isinstance(m, LaserScan)}
+        wanted = [m for m in wanted if m.stamp_ns in scans]
+    for message in wanted:
+        if isinstance(message, LaserScan):
+            made.append(rawlogs.scan(message, mount, version, label, prefix))
+        elif steps:
+            here = (message.x, message.y, message.theta)
+            made.append(rawlogs.moved(step_between(last, here)))
+            last = here
+        else:
+            made.append(rawlogs.wheels(message, draw(st.integers(0, 2)), prefix))
+        if draw(st.integers(0, 9)) == 0:
+            made.append(rawlogs.thing("CObservationImage", 4, bytes(range(256))))
+    with tempfile.TemporaryDirectory() as folder:
+        log = read_any(rawlogs.write(Path(folder) / "a.rawlog", made, draw(st.booleans())))
+    place, *got = log.messages
+    assert log.skipped == {}
+    assert log.warnings == []
+    assert near(place, mount)
+    assert [(type(m), m.stamp_ns) for m in got] == [(type(m), m.stamp_ns) for m in wanted]
+    for a, b in zip(got, wanted, strict=True):
+        if isinstance(a, WheelOdometry):
+            assert (a.x, a.y) == pytest.approx((b.x, b.y), abs=1e-9)
+            assert abs(math.remainder(a.theta - b.theta, math.tau)) < 1e-9
+        else:
+            np.testing.assert_array_equal(
+                a.ranges, np.where(np.isfinite(b.ranges), b.ranges, np.inf)
+            )
+            assert a.angle_min == pytest.approx(b.angle_min, abs=1e-6)
+            assert a.angle_step == pytest.approx(b.angle_step, rel=1e-6)
+
+
+def step_between(start, end):
+    c, s = math.cos(start[2]), math.sin(start[2])
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    return c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
+
+
 def without_poses(line: str) -> str:
     """A laser line as the RAWLASER1 that a logger without localisation writes."""
     fields = line.split()
@@ -211,6 +256,19 @@ def test_a_simulated_drive_comes_back_from_any_ros_recording(drives, data):
 @given(data=st.data())
 def test_a_simulated_drive_comes_back_from_carmen(drives, data):
     from_carmen(drives, data.draw)
+
+
+@FEW
+@given(data=st.data())
+def test_a_simulated_drive_comes_back_from_a_rawlog(drives, data):
+    from_rawlog(drives, data.draw)
+
+
+@pytest.mark.slow
+@MANY
+@given(data=st.data())
+def test_simulated_drives_come_back_from_hundreds_of_rawlogs(drives, data):
+    from_rawlog(drives, data.draw)
 
 
 @pytest.mark.slow

@@ -134,8 +134,8 @@ def test_r29_arias_logs_with_ranges_or_points(tmp_path):
 def test_what_cannot_be_read_is_named(tmp_path):
     rawlog = tmp_path / "x.rawlog"
     with gzip.open(rawlog, "wb") as file:
-        file.write(b"\x93CObservation2DRangeScan\x06\x00\x01" + bytes(200))
-    with pytest.raises(LogError, match="rawlog of MRPT, which cannot be read: `rawlog-edit"):
+        file.write(b"\x97CObservation2DRangeScan\x06\x00\x01" + bytes(200))
+    with pytest.raises(LogError, match="rawlog of MRPT without a 2D scan that can be read"):
         read_any(rawlog)
     with gzip.open(rawlog, "wb") as file:
         file.write(b"#ROSBAG V2.0\n" + bytes(5000))

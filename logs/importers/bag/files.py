@@ -24,6 +24,10 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MAGICS = (*ROS1_MAGICS, sqlite.MAGIC, MCAP_MAGIC)
 _SUFFIXES = (".mcap", ".db3", ".bag", ".zstd", ".zst", ".active")
 _LISTED = re.compile(r"^\s*-\s+['\"]?([^'\"\s]+\.(?:mcap|db3)(?:\.zstd)?)['\"]?\s*$", re.MULTILINE)
+UNPACKED_LIMIT = 1 << 30
+"""Bytes that all packed parts of a bag may take on the disk: what is packed can grow 10000-fold."""
+
+_UNPACK_BLOCK = 1 << 20
 _NUMBER = re.compile(r"(\d+)")
 
 
@@ -39,6 +43,7 @@ class Bag:
         self.path = path
         self.missing: Counter[str] = Counter()
         self._unpacked = ""  # folder of parts that were compressed as a whole
+        self._unpacked_bytes = 0
         files = self._parts() if path.is_dir() else [path]
         self.parts = [self._container(file) for file in files]
 
@@ -100,7 +105,16 @@ class Bag:
         target = Path(self._unpacked) / file.stem
         try:
             with file.open("rb") as packed, target.open("wb") as plain:
-                zstandard.ZstdDecompressor().copy_stream(packed, plain)
+                for block in zstandard.ZstdDecompressor().read_to_iter(
+                    packed, write_size=_UNPACK_BLOCK
+                ):
+                    self._unpacked_bytes += len(block)
+                    if self._unpacked_bytes > UNPACKED_LIMIT:
+                        raise LogError(
+                            f"{file}: unpacks to more than {UNPACKED_LIMIT >> 20} MB: unpack the "
+                            "parts with `zstd -d` first"
+                        )
+                    plain.write(block)
         except zstandard.ZstdError as error:
             raise LogError(f"{file}: cannot be unpacked: {error}") from error
         with target.open("rb") as stream:
