@@ -43,7 +43,8 @@ def import_(
         Path,
         typer.Argument(
             help="ROS 1 bag, ROS 2 bag (folder, .mcap, .db3), log of CARMEN (.clf, .log), "
-            "BreezySLAM (.dat) or ARIA (.2d), YDLidar text, or g2o graph with ROBOTLASER1 lines; "
+            "BreezySLAM (.dat), ARIA (.2d) or MRPT (.rawlog), YDLidar text, or g2o graph with "
+            "ROBOTLASER1 lines; "
             "texts may be gzipped.",
             readable=False,
         ),
