@@ -217,6 +217,25 @@ def test_r07_the_ground_truth_is_never_taken_for_odometry(read):
     assert in_map.x[:2] == pytest.approx([0.0, 0.1])
 
 
+def test_odometry_of_a_camera_or_of_equal_rank_is_a_guess_with_alternatives(read):
+    seen = read(truth("/zed/odom", 60, STEP // 3) + drive(odom="/base/odom"))
+    assert seen.is_drive()
+    assert "odometry from /base/odom" in seen.log.notes
+    (warning,) = read(truth("/arm/odom", 20, STEP) + drive(odom="/base/odom")).log.warnings
+    assert "--odom takes another" in warning
+
+
+def test_odometry_of_which_nothing_can_be_used_is_told(read):
+    items = drive()
+    for topic, _, _, message in items:
+        if topic == "/odom":
+            message.pose.pose.orientation.w = math.nan
+    got = read(items)
+    assert got.odometry == []
+    (warning,) = got.log.warnings
+    assert "no message of /odom can be used as odometry" in warning
+
+
 def test_r07_another_robots_odometry_is_never_taken(read):
     robots = []
     for number, x in ((1, 0.0), (2, 50.0)):

@@ -13,6 +13,10 @@ from slam.logs.importers.bag.odometry import Odometry, from_link, from_stream
 from slam.logs.importers.wishes import Wishes
 
 NO_ODOMETRY = "none"  # as a wish: laser alone
+_SEEING_WORDS = frozenset(
+    "visual vo vio vins camera zed zed2 stereo realsense t265 rtabmap orb icp lidar laser rf2o "
+    "matcher kiss".split()
+)
 _TRUTH_WORDS = {
     *("truth", "groundtruth", "gt", "ground", "true", "mocap", "vicon", "optitrack", "qualisys"),
     *("amcl", "gps", "gnss", "global", "slam", "map", "localization", "localisation", "perfect"),
@@ -107,19 +111,40 @@ def choose_odometry(
                 f"odometry from {shown(chosen.topic)} is counted in {shown(chosen.frame)}: "
                 "is it a localiser's or a truth? --odom takes another"
             )
-        elif others and leaf(plain(chosen.topic)) not in _USUAL:
+        elif others and not _surely_odometry(chosen, others[0], scan):
             said.warnings.append(
                 f"odometry on several topics: {shown(chosen.topic)} is taken, --odom takes "
                 f"another ({listed(s.topic for s in others)})"
             )
         return from_stream(chosen)
     link = transform_odometry(tree, scan.frame, said)
+    if streams and not usable:
+        causes = listed({cause for stream in streams for cause in stream.flaws.values()})
+        said.warnings.append(
+            f"no message of {listed(s.topic for s in streams)} can be used as odometry: {causes}"
+        )
     if passed_over and link is None:
         said.warnings.append(
             f"{listed(s.topic for s in passed_over)} looks like a truth or belongs to another "
             "robot, and is not taken as odometry: --odom takes it"
         )
     return None if link is None else from_link(link)
+
+
+def _surely_odometry(chosen: Stream, other: Stream, scan: Stream) -> bool:
+    """Whether odometry is the one meant, by its name and whose scans it stands beside."""
+    if plain(chosen.topic) == "odom":
+        return True
+    usual = leaf(plain(chosen.topic)) in _USUAL
+    if prefix(chosen.topic) == prefix(scan.topic) != prefix(other.topic):
+        return usual
+    alike = leaf(plain(chosen.topic)) == leaf(plain(other.topic))
+    return usual and (not alike or is_seen(other) > is_seen(chosen))
+
+
+def is_seen(stream: Stream) -> bool:
+    """Whether odometry comes from cameras or lasers rather than wheels, by its topic's name."""
+    return bool(_SEEING_WORDS & set(re.split(r"[/_\-.]", stream.topic.lower())))
 
 
 def _asked(tree: FrameTree, streams: list[Stream], asked: str, scan: Stream) -> Odometry | None:
@@ -168,6 +193,7 @@ def _odometry_rank(stream: Stream, scan: Stream, tree: FrameTree) -> tuple[objec
     name = leaf(plain(stream.topic))
     return (
         is_world(stream.frame),
+        is_seen(stream),
         prefix(stream.topic) != prefix(scan.topic),
         plain(stream.topic) != "odom",
         _USUAL.index(name) if name in _USUAL else len(_USUAL),
