@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,7 @@ class _Bytes:
 def read_object(name: str, data: bytes, at: int) -> tuple[Scan | Wheels | Moved, int] | None:
     """Return the object whose version stands at `at`, and where it ends; None if it is not one."""
     stream = _Bytes(data, at)
-    readers = {
+    readers: dict[str, Callable[[_Bytes, int], Scan | Wheels | Moved | None]] = {
         "CObservation2DRangeScan": _scan,
         "CObservationOdometry": _wheels,
         "CActionRobotMovement2D": _moved,
