@@ -55,16 +55,16 @@ def match(
     start = guess.x(), guess.y(), guess.theta()
     if not math.isfinite(sum(start)):
         return _refused(guess, prior, "the guess is not finite")
-    stack = _stack(references)
+    stacked = stack_references(references)
     if source.valid < config.min_pairs:
         return _refused(guess, prior, f"only {source.valid} usable beams")
-    if stack is None:
+    if stacked is None:
         return _refused(guess, prior, "no reference has usable beams")
     if config.method != "point_to_line":
-        return _alternative(references, stack, source, guess, start, config, prior)
+        return _alternative(references, stacked, source, guess, start, config, prior)
     passes = config.passes_without_prior if prior is None else config.passes_with_prior
     others = OTHER_STARTS if prior is None else NO_STARTS
-    return _align(stack, source, guess, start, passes, others, config, prior)
+    return _align(stacked, source, guess, start, passes, others, config, prior)
 
 
 def _alternative(
@@ -126,7 +126,7 @@ def _align(
     )  # fmt: skip
 
 
-def _stack(references: Sequence[Reference]) -> tuple[Any, ...] | None:
+def stack_references(references: Sequence[Reference]) -> tuple[Any, ...] | None:
     """The references end to end: the fields of `match_arrays.References`."""
     used = [r for r in references if r.scan.valid > 2]
     if not used:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,12 +17,21 @@ from slam.frontend.scan import PreparedScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe
 from slam.mapping.odometry_faults import FaultDetector, OdometryFault, Step
-from slam.mapping.registration import OdometryEvidence, Registration, register, starts_in_doubt
-from slam.mapping.scan_sync import ZERO_BIAS, OdometryIncrement, StampedScan
+from slam.mapping.registration import (
+    AFTER_FAULT,
+    FAULTS_BEFORE,
+    STEPS_BEFORE,
+    OdometryEvidence,
+    Registration,
+    register,
+    starts_in_doubt,
+    widened,
+)
+from slam.mapping.scan_sync import STAMP_JITTER_S, ZERO_BIAS, OdometryIncrement, StampedScan
 
-# Share of beams that fit, from which a match that refutes the odometry of a long increment also
-# makes the odometry of its parts suspect.
-SURE_INLIER_FRACTION = 0.7
+# One sigma of how a robot moves that nothing is known of.
+USUAL_SPEED, USUAL_TURN_RATE = 0.5, 0.5  # m/s, rad/s
+AS_EXACT = 1.5  # factor in sigmas within which the odometry of a longer way is as exact
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +51,10 @@ class KeyframeEdgeBuilder:
         self._config = config
         self._faults = FaultDetector(config.odometry, config.registration.false_alarm)
         self._unbroken = 0  # keyframes from here on are connected by matches
+        # Keyframes before the last one, as far back as no odometry was refused.
+        self._sound: deque[StampedScan] = deque(maxlen=config.registration.references)
+        self._steps_seen, self._faults_seen = 0, 0
+        self._after_fault = False  # the last keyframe's odometry was refused
         self._last_step: tuple[Pose2, float] | None = None  # the last keyframe's motion, seconds
 
     def begin_at(self, keyframe: int) -> None:
@@ -70,18 +84,41 @@ class KeyframeEdgeBuilder:
             Reference(last.between(graph.pose(k.index)), k.prepared) for k in keyframes[first:]
         ]
         odometry = OdometryEvidence(
-            Prior(increment.moved, self._odometry_covariance(increment)),
+            self._prior(increment, keyframes, graph),
             starts_in_doubt(increment.moved, increment.seconds, self._last_step),
             self._config.robot.can_move([*between, increment.last]),
-            self._continues(increment.moved),
+            self._config.robot.reach(increment.seconds + STAMP_JITTER_S),
+            self._fault_rate,
         )
         config = self._config
         return register(references, prepared, odometry, config.registration, config.matcher)
 
-    def _continues(self, moved: Pose2) -> bool:
-        """Whether the robot moves in the direction of its last step, and does not reverse."""
-        last = self._last_step
-        return last is not None and last[0].x() * moved.x() + last[0].y() * moved.y() > 0.0
+    @property
+    def _fault_rate(self) -> float:
+        """Probability of a fault in the next step, by what this log has shown so far."""
+        if self._after_fault:
+            return AFTER_FAULT
+        return (FAULTS_BEFORE + self._faults_seen) / (STEPS_BEFORE + self._steps_seen)
+
+    def _prior(
+        self, increment: OdometryIncrement, keyframes: Sequence[Keyframe], graph: PoseGraph
+    ) -> Prior:
+        """Where the odometry has the new scan, from the farthest keyframe that says it as well.
+
+        Each of many short steps may be off by half its length, for nobody knows to better than
+        `sync` at what time it was measured; all of them together may not.
+        """
+        prior = Prior(increment.moved, self._odometry_covariance(increment))
+        widest = AS_EXACT**2 * np.diag(prior.covariance)
+        last = graph.pose(keyframes[-1].index)
+        for back, earlier in enumerate(reversed(self._sound), start=2):
+            longer = OdometryIncrement(earlier, increment.last, increment.bias)
+            covariance = self._odometry_covariance(longer)
+            if (np.diag(covariance) > widest).any():
+                break
+            step = last.between(graph.pose(keyframes[-back].index)) * longer.moved
+            prior = Prior(step, covariance)
+        return prior
 
     def edges(
         self, increment: OdometryIncrement, registration: Registration, new: int
@@ -96,6 +133,8 @@ class KeyframeEdgeBuilder:
             # Nothing confirms the odometry, or something refutes it: it counts for little.
             information = information / self._config.odometry.lost_inflation**2
             note = f"lost: {note}" if registration.lost else note
+        information = widened(information, registration.odometry_spread)
+        matched_information = widened(result.information, registration.match_spread)
         # A part of a refuted increment needs no odometry, as long as its own match holds it.
         suspect = increment.bias != ZERO_BIAS and registration.match_trusted and not degenerate
         if suspect and registration.odometry_trusted:
@@ -103,11 +142,17 @@ class KeyframeEdgeBuilder:
         if fault := self._fault(increment, registration):
             note = f"{fault}; {note}" if note else fault
         odometry = Edge("odometry", new - 1, new, increment.moved, information)
-        matched = Edge("icp", new - 1, new, result.target_T_source, result.information)
+        matched = Edge("icp", new - 1, new, result.target_T_source, matched_information)
         if not registration.match_trusted:
             self._unbroken = new
         step = result.target_T_source if registration.match_trusted else increment.moved
         self._last_step = (step, increment.seconds)
+        self._sound.append(increment.first)
+        if not registration.odometry_trusted:
+            self._sound.clear()
+        self._after_fault = registration.match_trusted and not registration.odometry_trusted
+        self._steps_seen += 1
+        self._faults_seen += self._after_fault
         trusted = registration.odometry_trusted and not suspect
         edges = [
             (odometry, trusted or registration.lost or degenerate),
@@ -123,11 +168,7 @@ class KeyframeEdgeBuilder:
         Where a good match of the whole refutes it, an error of that size is spread over its parts.
         In each of them it may be too small to be noticed, and would still pull the match along.
         """
-        sure = (
-            registration.match_trusted
-            and registration.result.inlier_fraction >= SURE_INLIER_FRACTION
-        )
-        if registration.odometry_trusted or not sure:
+        if registration.odometry_trusted or not registration.match_trusted:
             return increment.bias
         error = increment.moved.between(registration.result.target_T_source)
         distance, turn = float(np.hypot(error.x(), error.y())), abs(error.theta())
@@ -135,11 +176,13 @@ class KeyframeEdgeBuilder:
         return max(speed, distance / increment.seconds), max(rate, turn / increment.seconds)
 
     def _odometry_covariance(self, increment: OdometryIncrement) -> NDArray[np.float64]:
-        speed, rate = increment.bias
         covariance = self._config.odometry.covariance(
             increment.path_m, increment.path_rad, increment.seconds
         )
-        return covariance + np.diag(np.array([speed, speed, rate]) * increment.seconds) ** 2
+        speed, rate = increment.bias
+        off = np.array([speed, speed, rate]) * increment.seconds
+        unknown = np.array([USUAL_SPEED, USUAL_SPEED, USUAL_TURN_RATE]) * increment.unknown_s
+        return covariance + np.diag(off**2 + unknown**2)
 
     def _fault(
         self, increment: OdometryIncrement, registration: Registration

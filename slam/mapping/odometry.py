@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from typing import Protocol
@@ -42,6 +43,10 @@ class RobotLimits(BaseModel):
             step.speed <= self.max_speed and step.turn_rate <= self.max_turn_rate for step in steps
         )
 
+    def reach(self, seconds: float) -> tuple[float, float]:
+        """How far (m) the robot can move and turn (rad, at most half a turn) in that time."""
+        return self.max_speed * seconds, min(self.max_turn_rate * seconds, math.pi)
+
 
 class OdometryConfig(BaseModel):
     """Error model of the P3-DX's dead reckoning, per step between keyframes.
@@ -52,6 +57,7 @@ class OdometryConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    use: bool = Field(True, description="use odometry where there is some; else the laser alone")
     trans_per_m: float = Field(0.05, ge=0, description="m of sigma per metre travelled")
     trans_per_rad: float = Field(0.03, ge=0, description="m of sigma per radian turned")
     rot_per_m: float = Field(0.03, ge=0, description="rad of sigma per metre travelled")

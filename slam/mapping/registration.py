@@ -1,32 +1,39 @@
 """Registers a scan to the keyframes before it, and decides between odometry and scan match.
 
-The match starts where the odometry says.  If it agrees with the odometry, fits well, and no other
-start fits clearly better, both are used.  Otherwise every start of `OdometryEvidence.starts` gives
-a hypothesis, and after them a correlative search if all fit badly.  The hypothesis with the most
-inliers wins; a later one must beat an earlier one by `margin`.  Then this table decides:
+Two explanations compete: the odometry is right, or it has a fault.  Each is as likely as what it
+says of the motion before the scan is looked at, times what the scan says of it:
 
-    | inliers of the best | odometry possible | agrees with it | match    | odometry |
-    |---------------------|-------------------|----------------|----------|----------|
-    | too few             | yes               | -              | refused  | used     |
-    | too few             | no                | -              | refused  | refused  |
-    | enough              | yes               | yes            | used     | used     |
-    | enough              | yes               | no             | used     | refused  |
-    | enough              | no                | -              | used     | refused  |
+- Right: the match found with the odometry as its prior, weighed by the odometry's error model.
+- A fault has a small probability, larger after a fault.  A known kind (motion of the wrong sign,
+  none where there is some, some where there is none) says where the robot is as exactly as the
+  odometry would.  Any other fault leaves all motion open that the robot can make.
+- The scan speaks in independent pieces of surface (`agreement`): repeated structure differs in few
+  of them between one place and the next, and a person who walks along is one.
 
-"Possible" is within the robot's speed limits; "agrees" is a chi-square test of the difference.
+The logarithm of their ratio decides.  "Holds" means that enough pieces fit the match:
+
+    | odds of a fault | match holds | match                | odometry           |
+    |-----------------|-------------|----------------------|--------------------|
+    | against         | yes         | used                 | used               |
+    | unsure          | yes         | used with wide noise | used with wide noise |
+    | for             | yes         | used                 | refused            |
+    | any             | no          | refused              | used, wide; refused if impossible |
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from gtsam import Pose2
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.backend.chi_square import chi_square_limit, mahalanobis
+from slam.backend.chi_square import mahalanobis
+from slam.frontend.agreement import Agreement, agreement
 from slam.frontend.correlative import CorrelativeConfig, Window, search, thin
 from slam.frontend.loop_search import submap_points, target_field
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
@@ -35,12 +42,20 @@ from slam.frontend.scan import PreparedScan
 
 # Faults that a match can confirm by mistake: motion of the wrong sign, motion where there is none,
 # and none where there is.  Each has a start that would be right.
-CHECKED_STARTS = ("mirrored translation", "zero motion", "previous velocity")
+KNOWN_FAULTS = ("mirrored translation", "zero motion", "previous velocity")
 LOOSE_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds a match
 LONGEST_STALL_S = 4.0  # s for which a robot may have gone on unseen; a wheel stall takes seconds
 DISTINCT_M = 0.03  # m between the ends of two matches that are different hypotheses
 DOUBT_INFLATION = 5.0  # factor on the sigmas of an odometry that does not look right
 JOINING_COVARIANCE = np.diag([0.05, 0.05, 0.03]) ** 2  # m, m, rad: holds a pose found by one match
+SURE_NATS = math.log(100.0)  # odds of a hundred to one decide
+AFTER_FAULT = 0.3  # probability of a fault right after one: they last some seconds
+# What is known of the rate of faults before the log tells more: as much as if in a thousand steps
+# a tenth of a fault had been seen.
+STEPS_BEFORE, FAULTS_BEFORE = 1000.0, 0.1
+LEAST_PIECES = 4.0  # that fit, of a match: three people who walk along are three
+AS_WELL = 1.05  # factor in inliers within which two matches fit alike
+IMPOSSIBLE = "faster than the robot can move"
 # The correlative search when all hypotheses fit badly: about the middle of the odometry's step.
 SEARCH = CorrelativeConfig()
 SEARCH_REFERENCES = 3  # last keyframes that it looks at
@@ -59,29 +74,29 @@ class RegistrationConfig(BaseModel):
         0.7, ge=0, le=1, description="share of paired beams that must fit for a match without doubt"
     )
     false_alarm: float = Field(
-        1e-4, gt=0, lt=1, description="probability of refusing an odometry step without fault"
-    )
-    margin: float = Field(
-        1.05, ge=1, description="factor in inliers by which another hypothesis must be better"
+        1e-4, gt=0, lt=1, description="probability of naming a fault where there is none"
     )
     good_inlier_fraction: float = Field(
-        0.45, ge=0, le=1, description="share of all beams that fit, below which a search is made"
+        0.6,
+        ge=0,
+        le=1,
+        description="share of known surface that fits, below which a search is made",
     )
     min_inlier_fraction: float = Field(
-        0.25, ge=0, le=1, description="share of all beams that fit, below which a match is refused"
+        0.4,
+        ge=0,
+        le=1,
+        description="share of known surface that fits, below which a match is refused",
     )
 
 
 class Hypothesis(NamedTuple):
-    """A match and the start that led to it."""
+    """A match, and how likely it is together with the motion that it would need."""
 
     start: str
     result: MatchResult
-
-    @property
-    def inlier_fraction(self) -> float:
-        """Share of all beams that fit; 0 if the match did not converge."""
-        return self.result.inlier_fraction if self.result.converged else 0.0
+    seen: Agreement
+    log_posterior: float  # nats, up to a constant
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,7 +106,8 @@ class OdometryEvidence:
     prior: Prior  # the step and its covariance
     starts: Sequence[tuple[str, Pose2]]  # where else a match may start, by name
     possible: bool  # within the robot's speed limits
-    continues: bool  # in the direction of the last step
+    reach: tuple[float, float]  # m and rad that the robot can move at most in that time
+    fault_rate: float  # probability that the odometry of this step has a fault
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,11 +118,21 @@ class Registration:
     odometry_trusted: bool
     match_trusted: bool
     note: str  # what was refused and why; empty if nothing was
+    # (3, 3) by which match and odometry are less certain than they seem: either may be wrong
+    match_spread: NDArray[np.float64] | None = None
+    odometry_spread: NDArray[np.float64] | None = None
+    odds: float = -math.inf  # nats, of a fault of the odometry
 
     @property
     def lost(self) -> bool:
         """Neither source can be trusted."""
         return not (self.odometry_trusted or self.match_trusted)
+
+
+# In place of a match that is not believed.
+NOTHING = MatchResult(
+    Pose2(), np.zeros((3, 3)), np.eye(3), 0, 0.0, 0.0, 0.0, 0.0, None, math.inf, 0, False, ""
+)
 
 
 def disagreement(result: MatchResult, prior: Prior) -> float:
@@ -131,32 +157,199 @@ def register(
         config: thresholds.
         matcher: settings of the scan matcher.
     """
-    limit = chi_square_limit(config.false_alarm, 3)
-    prior = odometry.prior
-    first = match(references, scan, prior.target_T_source, matcher, prior)
-    agrees = first.converged and disagreement(first, prior) < limit
-    if odometry.possible and agrees and _fits_well(first, config):
-        if not _other_start_fits_better(first, references, scan, odometry, config, matcher):
+    return _Registrar(references, scan, odometry, config, matcher).decide()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Registrar:
+    """What one registration is made from."""
+
+    references: Sequence[Reference]
+    scan: PreparedScan
+    odometry: OdometryEvidence
+    config: RegistrationConfig
+    matcher: MatchConfig
+
+    def decide(self) -> Registration:
+        prior = self.odometry.prior
+        first = match(self.references, self.scan, prior.target_T_source, self.matcher, prior)
+        right, alone = self._if_right(first), self._if_match_is_wrong()
+        contradicted = alone.log_posterior > right.log_posterior + SURE_NATS
+        if self._beyond_doubt(right) and not contradicted and self._checked_fault(right) is None:
             return Registration(first, True, True, "")
-    best = Hypothesis("odometry", first)
-    for other in _hypotheses(references, scan, odometry, config, matcher):
-        if other.inlier_fraction > config.margin * best.inlier_fraction:
-            best = other
-    if best.inlier_fraction < config.good_inlier_fraction:
-        for guess in _searched(references, scan, prior):
-            other = Hypothesis("a search", _match_last(references, scan, guess, matcher, config))
-            if other.inlier_fraction > config.margin * best.inlier_fraction:
-                best = other
-    if best.inlier_fraction < config.min_inlier_fraction:
-        reason = best.result.reason or "too few beams fit"
-        return Registration(best.result, odometry.possible, False, f"match refused: {reason}")
-    result = _held(best.result, references, scan, prior, config, matcher)
-    distance = disagreement(result, prior)
-    if odometry.possible and distance < limit:
-        return Registration(result, True, True, "")
-    cause = f"chi-square {distance:.0f}" if odometry.possible else "faster than the robot can move"
-    note = f"odometry refused: {cause}; matched from {best.start}"
-    return Registration(result, False, True, note)
+        faults = list(self._faults(right))
+        fault = max(faults, key=lambda f: f.log_posterior, default=None)
+        best = max(right.log_posterior, alone.log_posterior)
+        odds = fault.log_posterior - best if fault else -math.inf
+        if fault and odds > SURE_NATS and self._holds(fault):
+            result = self._held(fault.result)
+            cause = f"{odds:.0f} nats" if self.odometry.possible else IMPOSSIBLE
+            note = f"odometry refused: {cause}; matched from {fault.start}"
+            return Registration(result, False, True, note, odds=odds)
+        if contradicted and fault and odds > -SURE_NATS and self._holds(fault):
+            return self._undecided(alone, fault, odds)
+        if self._holds(right) and self.odometry.possible and not contradicted:
+            if fault is None or odds < -SURE_NATS:
+                return Registration(first, True, True, "", odds=odds)
+            return self._undecided(right, fault, odds)
+        reason = right.result.reason or "too few pieces fit"
+        reason = "what it fits has moved along" if contradicted else reason
+        return Registration(first, self.odometry.possible, False, f"match refused: {reason}")
+
+    def _undecided(self, right: Hypothesis, fault: Hypothesis, odds: float) -> Registration:
+        """Both stay, each with the spread of two places of which either may be right.
+
+        The match is the likelier one.
+        """
+        share = 1.0 / (1.0 + math.exp(-odds))
+        told = self.odometry.prior.target_T_source
+        found = fault if odds > 0.0 or right.result is NOTHING else right
+        if_right = told if right.result is NOTHING else right.result.target_T_source
+        here, if_fault = found.result.target_T_source, fault.result.target_T_source
+        other = if_right if found is fault else if_fault
+        off = Pose2.Logmap(here.between(other))
+        slip = Pose2.Logmap(told.between(if_fault))
+        return Registration(
+            found.result, True, True, f"undecided: {odds:.1f} nats for a fault; {fault.start}",
+            ((1.0 - share) if found is fault else share) * np.outer(off, off),
+            share * np.outer(slip, slip), odds,
+        )  # fmt: skip
+
+    def _beyond_doubt(self, right: Hypothesis) -> bool:
+        """Odometry and match agree, and the scan fits well."""
+        return (
+            self.odometry.possible
+            and right.result.converged
+            and disagreement(right.result, self.odometry.prior) < 2.0 * SURE_NATS
+            and right.result.pair_inlier_fraction >= self.config.good_pair_inlier_fraction
+            and right.seen.share >= self.config.good_inlier_fraction
+            and right.seen.fitting >= LEAST_PIECES
+        )
+
+    def _holds(self, hypothesis: Hypothesis) -> bool:
+        """Whether enough of the scan fits for the match to be one."""
+        seen = hypothesis.seen
+        enough = seen.fitting >= LEAST_PIECES and seen.share >= self.config.min_inlier_fraction
+        return hypothesis.result.converged and enough
+
+    def _if_right(self, result: MatchResult) -> Hypothesis:
+        """The odometry is right, and the scan is where the match with it as a prior puts it."""
+        log_prior = -0.5 * disagreement(result, self.odometry.prior)
+        if not self.odometry.possible:
+            log_prior = -math.inf
+        return self._hypothesis("odometry", result, log_prior)
+
+    def _if_match_is_wrong(self) -> Hypothesis:
+        """The odometry is right to the point, whatever a match would say."""
+        guess = self.odometry.prior.target_T_source
+        seen = agreement(self.references, self.scan, guess, self.matcher)
+        log_prior = 0.0 if self.odometry.possible else -math.inf
+        return Hypothesis("odometry alone", NOTHING, seen, log_prior + seen.log_likelihood)
+
+    def _if_fault(self, start: str, result: MatchResult) -> Hypothesis:
+        """The odometry has a fault, and the scan is where a match from another start puts it."""
+        log_fault = math.log(self.odometry.fault_rate)
+        likely = self._any_motion(result.target_T_source)
+        for name, guess in self.odometry.starts:
+            if name in KNOWN_FAULTS:
+                known = Prior(guess, self.odometry.prior.covariance)
+                likely = max(likely, -0.5 * disagreement(result, known))
+        return self._hypothesis(start, result, log_fault + likely)
+
+    def _any_motion(self, last_T_new: Pose2) -> float:
+        """Log density of a motion of which only the robot's limits are known.
+
+        Against the most likely one if the odometry is right.
+        """
+        metres, radians = self.odometry.reach
+        if math.hypot(last_T_new.x(), last_T_new.y()) > metres or abs(last_T_new.theta()) > radians:
+            return -math.inf
+        volume = math.pi * metres**2 * 2.0 * radians
+        determinant = float(np.linalg.det(self.odometry.prior.covariance))
+        return 0.5 * math.log((2.0 * math.pi) ** 3 * determinant) - math.log(volume)
+
+    def _hypothesis(self, start: str, result: MatchResult, log_prior: float) -> Hypothesis:
+        seen = agreement(self.references, self.scan, result.target_T_source, self.matcher)
+        return Hypothesis(start, result, seen, log_prior + seen.log_likelihood)
+
+    def _checked_fault(self, right: Hypothesis) -> Hypothesis | None:
+        """A known kind of fault that explains the scan better, though odometry and match agree.
+
+        A corridor looks alike a step further on: a match that starts where faulty odometry says can
+        converge there and confirm it.  Most other starts end where the first match did, or fit
+        worse, against the last keyframe alone: only the rest are worth the time of all references.
+        """
+        first, last = right.result, self.references[-1:]
+        alone = self._near(first.target_T_source, last).inlier_fraction
+        for name, guess in self.odometry.starts:
+            if name not in KNOWN_FAULTS:
+                continue
+            other = self._near(guess, last)
+            step = first.target_T_source.between(other.target_T_source)
+            if not other.converged or math.hypot(step.x(), step.y()) < DISTINCT_M:
+                continue
+            if other.inlier_fraction < alone:
+                continue
+            fault = self._if_fault(name, self._near(guess, self.references))
+            if fault.log_posterior > right.log_posterior - SURE_NATS:
+                return fault
+        return None
+
+    def _near(self, guess: Pose2, among: Sequence[Reference]) -> MatchResult:
+        """Match about a guess that is hardly more than a guess."""
+        return match(among, self.scan, guess, self.matcher, Prior(guess, LOOSE_COVARIANCE))
+
+    def _faults(self, right: Hypothesis) -> Iterator[Hypothesis]:
+        """Matches without a prior, from the odometry and from every other start, then a search."""
+        best = right.seen.share if right.result.converged else 0.0
+        starts = [("odometry", self.odometry.prior.target_T_source), *self.odometry.starts]
+        for name, guess in starts:
+            result = self._match_last(guess)
+            if result.converged:
+                fault = self._if_fault(name, result)
+                best = max(best, fault.seen.share)
+                yield fault
+        if best < self.config.good_inlier_fraction:
+            for guess in _searched(self.references, self.scan, self.odometry.prior):
+                result = self._match_last(guess)
+                if result.converged:
+                    yield self._if_fault("a search", result)
+
+    def _match_last(self, guess: Pose2) -> MatchResult:
+        """Match without a prior, first against the last keyframe alone.
+
+        Older keyframes may stand wrong with respect to it; they join in if they agree.
+        """
+        alone = match(self.references[-1:], self.scan, guess, self.matcher)
+        if not alone.converged or len(self.references) == 1:
+            return alone
+        seed = Prior(alone.target_T_source, JOINING_COVARIANCE)
+        joint = match(self.references, self.scan, alone.target_T_source, self.matcher, seed)
+        fits = joint.converged and (
+            joint.pair_inlier_fraction >= self.config.good_pair_inlier_fraction
+        )
+        return joint if fits and joint.inlier_fraction >= alone.inlier_fraction else alone
+
+    def _held(self, best: MatchResult) -> MatchResult:
+        """The best match again, with the odometry as a wide prior, if it fits about as well.
+
+        A direction that the scans do not see must not keep the place where the best start happened
+        to be.
+        """
+        prior = self.odometry.prior
+        doubted = Prior(prior.target_T_source, prior.covariance * DOUBT_INFLATION**2)
+        held = match(self.references, self.scan, best.target_T_source, self.matcher, doubted)
+        return held if held.inlier_fraction * AS_WELL >= best.inlier_fraction else best
+
+
+def widened(
+    information: NDArray[np.float64], spread: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Information (3, 3) of a step whose error also has the covariance `spread`."""
+    if spread is None:
+        return information
+    less: NDArray[np.float64] = information @ np.linalg.inv(np.eye(3) + spread @ information)
+    return 0.5 * (less + less.T)
 
 
 def starts_in_doubt(
@@ -179,87 +372,6 @@ def starts_in_doubt(
     return starts
 
 
-def _fits_well(result: MatchResult, config: RegistrationConfig) -> bool:
-    return (
-        result.pair_inlier_fraction >= config.good_pair_inlier_fraction
-        and result.inlier_fraction >= config.good_inlier_fraction
-    )
-
-
-def _other_start_fits_better(
-    first: MatchResult, references: Sequence[Reference], scan: PreparedScan,
-    odometry: OdometryEvidence, config: RegistrationConfig, matcher: MatchConfig,
-) -> bool:  # fmt: skip
-    """Whether another start fits the scan clearly better, though odometry and match agree.
-
-    A corridor looks alike a step further on: a match that starts where faulty odometry says can
-    converge there and confirm it.  Most other starts end where the first match did, or fit worse,
-    against the last keyframe alone: only the rest are worth the time of all references.
-    """
-
-    def found(guess: Pose2, among: Sequence[Reference]) -> Hypothesis:
-        return Hypothesis("", match(among, scan, guess, matcher, Prior(guess, LOOSE_COVARIANCE)))
-
-    last = references[-1:]
-    alone = found(first.target_T_source, last).inlier_fraction
-    for name, guess in odometry.starts:
-        if name not in CHECKED_STARTS:
-            continue
-        other = found(guess, last)
-        step = first.target_T_source.between(other.result.target_T_source)
-        if np.hypot(step.x(), step.y()) < DISTINCT_M or other.inlier_fraction < alone:
-            continue
-        unseen = 0.0
-        if odometry.continues:
-            unseen = _unseen_share(references, scan, first.target_T_source)
-        needed = config.margin * (first.inlier_fraction + unseen)
-        if found(guess, references).inlier_fraction > needed:
-            return True
-    return False
-
-
-def _unseen_share(references: Sequence[Reference], scan: PreparedScan, last_T_scan: Pose2) -> float:
-    """Share of the scan's beams that end where no reference has looked.
-
-    A robot that backs away sees walls that were behind it: that none of the scans before knows
-    them does not speak against the motion.
-    """
-    points = scan.points[np.isfinite(scan.points).all(axis=1)]
-    unseen = np.ones(len(points), dtype=bool)
-    for reference in references:
-        first, step, x, y = reference.scan.geometry[:4]
-        here = reference.target_T_scan.between(last_T_scan).transformFrom(points.T).T - (x, y)
-        turn = np.mod(np.arctan2(here[:, 1], here[:, 0]) - first, 2.0 * np.pi)
-        unseen &= turn > step * (len(reference.scan.points) - 1)
-    return float(np.mean(unseen)) if len(points) else 0.0
-
-
-def _hypotheses(
-    references: Sequence[Reference], scan: PreparedScan, odometry: OdometryEvidence,
-    config: RegistrationConfig, matcher: MatchConfig,
-) -> Iterator[Hypothesis]:  # fmt: skip
-    """Matches without a prior, from the odometry and from every other start."""
-    for name, guess in [("odometry", odometry.prior.target_T_source), *odometry.starts]:
-        yield Hypothesis(name, _match_last(references, scan, guess, matcher, config))
-
-
-def _match_last(
-    references: Sequence[Reference], scan: PreparedScan, guess: Pose2, matcher: MatchConfig,
-    config: RegistrationConfig,
-) -> MatchResult:  # fmt: skip
-    """Match without a prior, first against the last keyframe alone.
-
-    Older keyframes may stand wrong with respect to it; they join in if they agree.
-    """
-    alone = match(references[-1:], scan, guess, matcher)
-    if not alone.converged or len(references) == 1:
-        return alone
-    seed = Prior(alone.target_T_source, JOINING_COVARIANCE)
-    joint = match(references, scan, alone.target_T_source, matcher, seed)
-    fits = joint.converged and joint.pair_inlier_fraction >= config.good_pair_inlier_fraction
-    return joint if fits and joint.inlier_fraction >= alone.inlier_fraction else alone
-
-
 def _searched(references: Sequence[Reference], scan: PreparedScan, prior: Prior) -> list[Pose2]:
     """Where a correlative search about the last keyframe and the odometry's step finds the scan."""
     last = references[-SEARCH_REFERENCES:]
@@ -272,17 +384,3 @@ def _searched(references: Sequence[Reference], scan: PreparedScan, prior: Prior)
     halfway = Pose2(0.5 * moved.x(), 0.5 * moved.y(), moved.theta())
     found = search(field, points, Window(halfway, reach, SEARCH_TURN_RAD), SEARCH_SCORE)
     return [] if found is None else [found.target_T_query]
-
-
-def _held(
-    best: MatchResult, references: Sequence[Reference], scan: PreparedScan, prior: Prior,
-    config: RegistrationConfig, matcher: MatchConfig,
-) -> MatchResult:  # fmt: skip
-    """The best match again, with the odometry as a wide prior, if it fits about as well.
-
-    A direction that the scans do not see must not keep the place where the best start happened to
-    be.
-    """
-    doubted = Prior(prior.target_T_source, prior.covariance * DOUBT_INFLATION**2)
-    held = match(references, scan, best.target_T_source, matcher, doubted)
-    return held if held.inlier_fraction * config.margin >= best.inlier_fraction else best
