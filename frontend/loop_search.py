@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ import numpy as np
 from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+from slam.frontend.agreement import agreement
 from slam.frontend.correlative import (
     CorrelativeConfig,
     Found,
@@ -26,7 +26,12 @@ from slam.frontend.scan import VALID, PreparedScan
 
 Matrix = NDArray[np.float64]
 
-QUICK_REACH_M, QUICK_TURN_RAD = 4.0, 0.6  # a window that takes milliseconds to search
+# m from a place to where a query may stand: the search window, and what lies between the keyframes
+# of one place.  Farther than this beyond the query's range its field holds nothing of use.
+FIELD_MARGIN_M = 10.0
+# Pieces of surface that must fit.  A piece fits by chance at one wrong place in three, which six
+# do at one in seven hundred; and a group of people is fewer than that.
+CLOSURE_PIECES = 6.0
 
 
 class LoopSearchConfig(BaseModel):
@@ -48,7 +53,8 @@ class LoopSearchConfig(BaseModel):
     min_fit: float = Field(
         0.55, ge=0, le=1, description="mean likelihood of the query at the result"
     )
-    max_reach: float = Field(15.0, gt=0, description="m, the search window never grows beyond")
+    max_reach: float = Field(4.0, gt=0, description="m, the search window never grows beyond")
+    max_turn: float = Field(0.6, gt=0, description="rad, the search window never turns beyond")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,7 +82,8 @@ def target_field(
 ) -> LikelihoodField:
     """Likelihood field of some old keyframes in the frame of one of them."""
     points = submap_points(scans)
-    return build_field(np.ascontiguousarray(points), config)
+    near = np.hypot(points[:, 0], points[:, 1]) < config.max_range + FIELD_MARGIN_M
+    return build_field(np.ascontiguousarray(points[near]), config)
 
 
 def close_loop(
@@ -87,7 +94,6 @@ def close_loop(
     covariance: Matrix,
     config: LoopSearchConfig,
     matcher: MatchConfig,
-    quick: bool = False,
 ) -> Closure:
     """Search, refine and judge one candidate.
 
@@ -99,14 +105,11 @@ def close_loop(
         covariance: of that prediction, in the newest's frame.
         config: thresholds.
         matcher: of the scan matcher.
-        quick: keep the window small, whatever the covariance.
     """
-    most, most_turn = config.max_reach, math.pi
-    if quick:
-        most, most_turn = QUICK_REACH_M, QUICK_TURN_RAD
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
     sigma_turn = float(np.sqrt(covariance[2, 2]))
-    window = Window(predicted, min(3 * sigma + 0.3, most), min(3 * sigma_turn + 0.1, most_turn))
+    reach = min(3 * sigma + 0.3, config.max_reach)
+    window = Window(predicted, reach, min(3 * sigma_turn + 0.1, config.max_turn))
     cloud = submap_points(query)
     near = np.hypot(cloud[:, 0], cloud[:, 1]) < config.correlative.max_range
     points = thin(cloud[near], config.correlative.resolution, config.correlative.max_points)
@@ -129,6 +132,9 @@ def _refine(
         return Closure(
             result, score, second, f"only {100 * result.pair_inlier_fraction:.0f} % of beams fit"
         )
+    seen = agreement(references, newest, result.target_T_source, matcher)
+    if seen.fitting < CLOSURE_PIECES:
+        return Closure(result, score, second, f"only {seen.fitting:.0f} pieces of surface fit")
     fit = likelihood_at(field, points, result.target_T_source)
     if fit < config.min_fit:
         return Closure(result, fit, second, f"mean likelihood {fit:.2f} is too low")

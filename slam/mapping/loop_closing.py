@@ -33,9 +33,7 @@ PLACES_APART_M = 3.0  # between places tried: one search covers a place of that 
 # within 2 m and 0.25 rad (about two rings and two sectors) of the pose that the descriptor gives.
 RECOGNISED = 3
 RECOGNISED_COVARIANCE = np.diag([2.0**2, 2.0**2, 0.25**2]) / 9  # three sigma, m^2 and rad^2
-# m of path between searches of wide windows where places are recognised, and after a closure
-# without recognition: the graph knows better then.
-WIDE_EVERY_M = 5.0
+RECOGNISED_AFTER_M = 5.0  # m of path after a closure without recognition: the graph knows better
 MIN_GAIN = 1.0  # nats; a closure that adds less information waits for the final optimisation
 
 
@@ -66,7 +64,7 @@ class LoopConfig(BaseModel):
         1e-3, gt=0, lt=1, description="probability of refusing a true closure by its chi-square"
     )
     recognise: bool = Field(
-        False, description="try places of similar shape too, wherever the graph has them"
+        True, description="try places of similar shape too, wherever the graph has them"
     )
     search: LoopSearchConfig = LoopSearchConfig()
 
@@ -107,7 +105,6 @@ class LoopCloser:
         self._pending: list[LoopCandidate] = []
         self._memory = PlaceMemory(PlaceConfig(), config.min_path_m)
         self._searched_m = 0.0
-        self._searched_wide_m = 0.0
         self._closed_m = -math.inf  # path at which a closure was last accepted
         # Of each `target_half`-th keyframe: what it looks at, in its own frame, and the way to it.
         self._looks_at: list[tuple[float, float]] = []
@@ -143,10 +140,7 @@ class LoopCloser:
         self._searched_m = newest.travelled_m
         places = self._places(keyframes, graph)
         recognised = self._recognised(keyframes, graph)
-        quick = self.config.recognise
-        if newest.travelled_m - self._searched_wide_m >= WIDE_EVERY_M:
-            quick, self._searched_wide_m = False, newest.travelled_m
-        ask = partial(self._place_candidates, keyframes, graph, places, recognised, quick)
+        ask = partial(self._place_candidates, keyframes, graph, places, recognised)
         due = bool(places or recognised)
         self._worker.begin(ask if due else None)
         return due
@@ -204,7 +198,7 @@ class LoopCloser:
         config = self.config
         if not config.recognise or not self._memory.update(keyframes, graph):
             return []
-        if keyframes[-1].travelled_m - self._closed_m < WIDE_EVERY_M:
+        if keyframes[-1].travelled_m - self._closed_m < RECOGNISED_AFTER_M:
             return []
         apart = round(PLACES_APART_M / PlaceConfig().every_m)
         return self._memory.recognise(keyframes, graph, RECOGNISED, apart)
@@ -217,7 +211,7 @@ class LoopCloser:
 
     def _place_candidates(
         self, keyframes: Sequence[Keyframe], graph: PoseGraph, anchors: Sequence[int],
-        recognised: Sequence[RecognisedPlace], quick: bool,
+        recognised: Sequence[RecognisedPlace],
     ) -> list[PlaceCandidate]:  # fmt: skip
         newest, half = keyframes[-1].index, self.config.target_half
         recent = range(max(0, newest - self.config.query_keyframes + 1), newest + 1)
@@ -233,7 +227,7 @@ class LoopCloser:
             middle = keyframes[anchor].number
             target = [k for k in near if abs(keyframes[k].number - middle) <= half]
             old = self._submap(keyframes, graph, target, anchor)
-            places_to_try.append(PlaceCandidate(anchor, old, query, *known, quick))
+            places_to_try.append(PlaceCandidate(anchor, old, query, *known))
         return places_to_try
 
     def _candidate(

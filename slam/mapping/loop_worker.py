@@ -27,7 +27,6 @@ class PlaceCandidate:
     query: Submap  # latest keyframes, in the newest's frame
     predicted: Pose2  # anchor_T_newest as the graph has it
     covariance: Matrix  # (3, 3) of that, in the newest's frame
-    quick: bool  # search a small window only
 
 
 Answer = tuple[PlaceCandidate, Closure]
@@ -77,7 +76,7 @@ class LoopWorker:
         references = [Reference(pose, scan) for pose, scan in place.old]
         return close_loop(
             field, references, place.query, place.predicted, place.covariance,
-            self._config, self._matcher, place.quick,
+            self._config, self._matcher,
         )  # fmt: skip
 
 
