@@ -42,7 +42,7 @@ def deskew(
     ranges = scan.ranges.astype(np.float64)
     turned, distances = _seen_from_the_first(bearings, ranges, extrinsics, moved)
     at = np.arange(count) + turned / scan.angle_step
-    found = _resampled(at, distances, abs(scan.angle_step)).astype(np.float32)
+    found = resampled(at, distances, abs(scan.angle_step)).astype(np.float32)
     return replace(scan, ranges=found, beam_period_s=0.0)
 
 
@@ -65,14 +65,21 @@ def _seen_from_the_first(
     return turned, np.where(hit, np.hypot(x, y), ranges)
 
 
-def _resampled(at: Vector, ranges: Vector, step: float) -> Vector:
+def resampled(at: Vector, ranges: Vector, step: float, count: int | None = None) -> Vector:
     """Ranges at whole beam numbers, from those at `at`: between two on one surface, else nearest.
 
-    Codes (inf, nan) are handed on; they and edges are never interpolated.
+    Codes (inf, nan) are handed on; they and edges are never interpolated.  A beam with no reading
+    within one of it is nan.
+
+    Args:
+        at: (n,) beam numbers, in any order.
+        ranges: (n,) m, there.
+        step: rad between two whole numbers.
+        count: how many beams there are; as many as readings if not given.
     """
     order = np.argsort(at, kind="stable")
     at, ranges = at[order], ranges[order]
-    beams = np.arange(len(at), dtype=np.float64)
+    beams = np.arange(len(at) if count is None else count, dtype=np.float64)
     right = np.clip(np.searchsorted(at, beams), 1, len(at) - 1)
     left = right - 1
     span = np.maximum(at[right] - at[left], 1e-9)

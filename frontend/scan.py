@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from slam.frontend.scan_kernels import LINE, VALID, read_scan
+from slam.frontend.sparse_scan import without_empty_bins
 from slam.logs.messages import LaserExtrinsics, LaserScan
 
 __all__ = ["LINE", "VALID", "PreparedScan", "ScanConfig", "prepare"]
@@ -89,6 +90,7 @@ def reach_table(step: float) -> NDArray[np.float64]:
 
 def prepare(scan: LaserScan, extrinsics: LaserExtrinsics, config: ScanConfig) -> PreparedScan:
     """Turn a scan into points with lines in the base frame; any beam count, any field of view."""
+    scan = without_empty_bins(scan)
     ranges, angle_min, step = scan.ranges, scan.angle_min, scan.angle_step
     if step < 0:  # a laser that turns clockwise: the same scan, read from its end
         angle_min, step = angle_min + step * (len(ranges) - 1), -step
