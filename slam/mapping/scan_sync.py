@@ -11,6 +11,7 @@ from gtsam import Pose2
 from slam.frontend.deskew import sweep_ns
 from slam.logs.messages import LaserScan, WheelOdometry
 from slam.mapping.odometry import OdometryBuffer
+from slam.mapping.stale_odometry import StaleOdometryFilter
 
 MAX_WAIT_NS = 2_000_000_000  # a scan waits this long (in message time) for odometry after it
 STAMP_JITTER_S = 0.15  # between neighbouring scans; intel's stamps come in bursts
@@ -24,6 +25,8 @@ class ScanWithOdometry:
     odom_T_base: Pose2
     moved: tuple[float, float, float]  # x, y (m), theta (rad); zero if scans are not deskewed
     late: bool  # its odometry did not come in time; the last reading stands in
+    unknown_s: float = 0.0  # s from the scan to what nearest tells where it was taken
+    broken_s: float = 0.0  # s so far after which nothing told how the robot had moved meanwhile
 
 
 class ScanSync:
@@ -33,6 +36,8 @@ class ScanSync:
         self._deskews = deskews  # then the odometry of the sweep's end is needed, too
         self._waiting: deque[LaserScan] = deque()
         self._odometry = OdometryBuffer()
+        self._stale = StaleOdometryFilter()
+        self._newest_ns: int | None = None  # stamp of the odometry that came last
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -43,7 +48,31 @@ class ScanSync:
 
     def add_odometry(self, message: WheelOdometry) -> bool:
         """Take in a reading; False if its stamp runs backwards (and it is ignored)."""
-        return self._odometry.add(message)
+        if self._newest_ns is not None and message.stamp_ns < self._newest_ns:
+            return False
+        self._newest_ns = message.stamp_ns
+        for sound in self._stale.add(message):
+            self._odometry.add(sound)
+        return True
+
+    @property
+    def has_odometry(self) -> bool:
+        """Some odometry has come in."""
+        return self._newest_ns is not None
+
+    def pop(self) -> LaserScan | None:
+        """The oldest scan, whatever is known of it."""
+        return self._waiting.popleft() if self._waiting else None
+
+    @property
+    def stale(self) -> int:
+        """Readings left out so far because they were older than their stamps said."""
+        return self._stale.dropped
+
+    def finish(self) -> None:
+        """No more messages will come."""
+        for sound in self._stale.flush():
+            self._odometry.add(sound)
 
     def next(self, wait: bool) -> ScanWithOdometry | None:
         """The oldest scan that is ready; None if there is none.
@@ -76,6 +105,8 @@ class StampedScan:
     path_rad: float
     speed: float  # m/s of the step that led here
     turn_rate: float  # rad/s
+    unknown_s: float  # as in `ScanWithOdometry`
+    broken_s: float
 
 
 ZERO_BIAS = (0.0, 0.0)  # m/s and rad/s by which the odometry is suspected to be off
@@ -105,6 +136,12 @@ class OdometryIncrement:
         return self.last.index - self.first.index
 
     @property
+    def unknown_s(self) -> float:
+        """Time (s) of which nothing tells how the robot moved."""
+        broken = self.last.broken_s - self.first.broken_s
+        return broken + self.first.unknown_s + self.last.unknown_s
+
+    @property
     def path_m(self) -> float:
         """Length of the way, m."""
         return self.last.path_m - self.first.path_m
@@ -116,16 +153,17 @@ class OdometryIncrement:
 
 
 def next_stamped_scan(
-    scan: LaserScan, odom_T_base: Pose2, index: int, last: StampedScan | None
-) -> StampedScan:
+    scan: LaserScan, odom_T_base: Pose2, index: int, last: StampedScan | None,
+    unknown_s: float = 0.0, broken_s: float = 0.0,
+) -> StampedScan:  # fmt: skip
     """The stamped scan after `last`, which is None for the first of a log."""
     if last is None:
-        return StampedScan(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0)
+        return StampedScan(scan, index, odom_T_base, 0.0, 0.0, 0.0, 0.0, unknown_s, broken_s)
     step = last.odom_T_base.between(odom_T_base)
     # Stamps jitter by more than the time between them in some logs.
     seconds = (scan.stamp_ns - last.scan.stamp_ns) * 1e-9 + STAMP_JITTER_S
     length, turn = float(np.hypot(step.x(), step.y())), abs(step.theta())
     return StampedScan(
         scan, index, odom_T_base, last.path_m + length, last.path_rad + turn,
-        length / seconds, turn / seconds,
+        length / seconds, turn / seconds, unknown_s, broken_s,
     )  # fmt: skip

@@ -21,6 +21,7 @@ from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe, preparer
 from slam.mapping.keyframe_edges import KeyframeEdgeBuilder
 from slam.mapping.keyframe_selection import KeyframeSelector, Planned
+from slam.mapping.laser_odometry import LaserOdometry
 from slam.mapping.loop_closing import MIN_GAIN, LoopCloser
 from slam.mapping.loop_worker import Submit, run_inline
 from slam.mapping.pruning import Pruner
@@ -42,6 +43,8 @@ MATCHES_A_STEP = 2  # keyframes tried in one step; more would delay the robot's 
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 BYPASS = "bypasses pruned keyframes"
 BACKWARDS = "scan with a stamp that runs backwards"
+NOT_USED = "odometry that is not used: the map is made by the laser alone"
+STALE = "odometry older than its stamp, left out"
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
 READMITTED = "accepted: refused along the way, but the whole graph agrees"
 
@@ -86,6 +89,8 @@ class Slam:
         self._edge_builder = KeyframeEdgeBuilder(config)
         self._pruner = Pruner(config.pruning, config.loops.min_path_m, submit)
         self._sync = ScanSync(config.scan.deskew)
+        use = config.odometry.use
+        self._laser_odometry = None if use else LaserOdometry(config, self._prepare)
         self._latest: StampedScan | None = None
         self._kept: StampedScan | None = None  # the last keyframe's
         self._planned: list[Planned] = []  # keyframes to come, the next one last
@@ -124,8 +129,12 @@ class Slam:
         if isinstance(message, LaserScan):
             self._sync.add_scan(message)
         elif isinstance(message, WheelOdometry):
-            if not self._sync.add_odometry(message):
+            if self._laser_odometry is not None:
+                self.noted[NOT_USED] += 1
+            elif not self._sync.add_odometry(message):
                 self.lost["odometry with a stamp that runs backwards"] += 1
+            if self._sync.stale:
+                self.noted[STALE] = self._sync.stale
         elif isinstance(message, LaserExtrinsics):
             self.extrinsics = message
         else:
@@ -134,6 +143,7 @@ class Slam:
 
     def finish_input(self) -> None:
         """No more messages will come: use what still waits."""
+        self._sync.finish()
         self._drain(wait=False)
         self._close_loops()
         self.loops.finish()
@@ -189,12 +199,28 @@ class Slam:
                     return
                 matches += 1
                 self._advance(self._planned.pop())
-            paired = self._sync.next(wait)
+            paired = self._next(wait)
             if paired is None:
                 return
             if paired.late:
                 self.lost["scan without odometry in time"] += 1
             self._take(paired)
+
+    def _next(self, wait: bool) -> ScanWithOdometry | None:
+        """The next scan and where the odometry, or the laser alone, has it."""
+        if self._laser_odometry is None:
+            if self._sync.has_odometry or not (paired := self._sync.next(wait)):
+                return self._sync.next(wait)
+            self._laser_odometry = LaserOdometry(self.config, self._prepare)
+            scan: LaserScan | None = paired.scan
+        else:
+            scan = self._sync.pop()
+        return self._laser_odometry.place(scan, self.extrinsics) if scan else None
+
+    @property
+    def laser_only(self) -> bool:
+        """The map is made without odometry."""
+        return self._laser_odometry is not None
 
     def _take(self, paired: ScanWithOdometry) -> None:
         """Use one scan whose odometry is known."""
@@ -208,7 +234,9 @@ class Slam:
             self.odometry_faults["scan-gap"] += 1
         if self.config.scan.deskew:
             scan = deskew(scan, self.extrinsics, paired.moved)
-        self._latest = next_stamped_scan(scan, odom_T_base, len(self.scans), self._latest)
+        self._latest = next_stamped_scan(
+            scan, odom_T_base, len(self.scans), self._latest, paired.unknown_s, paired.broken_s
+        )
         sweep = paired.moved if self.config.scan.deskew else None
         self.scans.append(scan.stamp_ns, odom_T_base, sweep)
         self._consider(self._latest)

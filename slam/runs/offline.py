@@ -21,7 +21,6 @@ from slam.logs.messages import (
     OccupancyMap,
     PoseEstimate,
     TruePose,
-    WheelOdometry,
 )
 from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
@@ -110,19 +109,13 @@ def _track(
 ) -> list[TruePose]:
     """Hand all messages to the pipeline; returns the true poses among them."""
     truth: list[TruePose] = []
-    count, has_odometry = 0, False
     for count, message in enumerate(messages, start=1):
         if not feed(slam, message, step):
             continue
-        has_odometry = has_odometry or isinstance(message, WheelOdometry)
         if isinstance(message, TruePose):
             truth.append(message)
         on_progress("tracking", count)
     slam.finish_input()
-    if len(slam.scans) and not has_odometry:
-        raise SlamError(
-            f"no usable odometry among {count} messages: record the robot's wheels (/odom) too"
-        )
     return truth
 
 
