@@ -14,13 +14,13 @@ import numpy as np
 from gtsam import Pose2
 
 from slam.backend.chi_square import chi_square_limit
+from slam.evaluation.calibration.closed_form import MotionFit, fit_motion
 from slam.frontend.match_types import MatchConfig, MatchResult, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan, ScanConfig, prepare
 from slam.logs.findings import Finding, Severity
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message
 from slam.mapping.odometry import OdometryConfig
-from slam.tools.doctor.motion_fit import MotionFit, fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Pair, PairCollector
 
 LEAST_PAIRS = 12  # that can be judged, for anything to be said of the whole log

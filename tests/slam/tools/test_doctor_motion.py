@@ -13,8 +13,8 @@ from slam.drivers.simulators.robot import ODOMETRY_NOISE
 from slam.drivers.simulators.worlds import SCENARIOS, scenario
 from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
+from slam.evaluation.calibration.closed_form import fit_motion
 from slam.tools.doctor.motion_check import MotionCheck
-from slam.tools.doctor.motion_fit import fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Blocks, PairCollector
 
 MOUNT = LaserExtrinsics(EPOCH_NS, 0.16, 0.0, 0.0)
