@@ -82,6 +82,24 @@ BENCHMARKS: Mapping[str, Benchmark] = {
             "other_named": "other named",
         },
     ),
+    "calibration": Benchmark(
+        "simulated robots of known sizes, calibrated from a drive of three minutes each",
+        "benchmarks.calibration:bench_calibration", "quick echo workers",
+        {
+            "case": "case", "unknown": "unknown", "truth": "truth", "drives": "drives",
+            "refused": "refused", "rms_error": "rms error", "sigma": "sigma",
+            "sigma_max": "largest", "within": "within 3 sigma",
+        },
+    ),
+    "calibration-logs": Benchmark(
+        "real logs: what they say of the robot, and whether their halves agree",
+        "benchmarks.calibration_logs:bench_calibration_logs", "data quick echo",
+        {
+            "log": "log", "unknown": "unknown", "value": "value", "sigma": "sigma",
+            "apart": "halves apart, sigmas", "refused": "refused",
+        },
+        data="`benchmark/` with NAME.clf.gz and NAME.relations of each log",
+    ),
     "growth": Benchmark(
         "time and memory as the graph grows",
         "benchmarks.growth:bench_growth", "quick echo",

@@ -130,13 +130,14 @@ def _scans(
 ) -> Iterator[tuple[TruePose, LaserScan]]:
     rng = np.random.default_rng([seed, _LASER])
     stamps = _stamps(times_s)
-    beam_times = np.arange(laser.beams) * laser.beam_period_s
     for stamp_ns, pose in zip(stamps.tolist(), truth.at(_seconds(stamps)).tolist(), strict=True):
-        if laser.beam_period_s > 0.0:
+        now = laser.sweep(rng)
+        if now.beam_period_s > 0.0:
+            beam_times = np.arange(now.beams) * now.beam_period_s
             bases = truth.at((stamp_ns - EPOCH_NS) * 1e-9 + beam_times)
-            scan = take_moving_scan(world, _mounted(bases, base_T_laser), laser, rng, stamp_ns)
+            scan = take_moving_scan(world, _mounted(bases, base_T_laser), now, rng, stamp_ns)
         else:
-            scan = take_scan(world, Pose2(*pose) * base_T_laser, laser, rng, stamp_ns)
+            scan = take_scan(world, Pose2(*pose) * base_T_laser, now, rng, stamp_ns)
         yield TruePose(stamp_ns, *pose), scan
 
 

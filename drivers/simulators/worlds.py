@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 from slam.drivers.simulators.buildings import office, office_ring
+from slam.drivers.simulators.calibration_room import calibration_room
 from slam.drivers.simulators.corridors import (
     Plan,
     door_corridor,
@@ -47,6 +48,7 @@ _PLANS: Mapping[str, Callable[[np.random.Generator], Plan]] = MappingProxyType(
         "symmetric-corridors": symmetric_corridors,
         "clutter": clutter,
         "mixed": mixed,
+        "calibration-room": calibration_room,
     }
 )
 SCENARIOS: tuple[str, ...] = tuple(_PLANS)

@@ -10,9 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from slam.cli.batch import batch, tune
+from slam.cli.calibrate import calibrate
 from slam.cli.checkout import load_benchmarks
 from slam.cli.init import init
-from slam.cli.logs import LogArgument, doctor, export, import_, info, recover, simulate
+from slam.cli.logs import LogArgument, doctor, export, import_, info, recover
 from slam.cli.online import drivers_app, online
 from slam.cli.options import (
     LOCAL,
@@ -23,6 +24,7 @@ from slam.cli.options import (
     TokenOption,
 )
 from slam.cli.output import echo, exit_on_loss, print_version, set_talk
+from slam.cli.simulate import simulate
 
 app = typer.Typer(
     name="slam",
@@ -51,6 +53,13 @@ class _From(StrEnum):
     raw = "raw"
 
 
+class _Frame(StrEnum):
+    """Whose poses a report compares with the truth."""
+
+    base = "base"
+    laser = "laser"
+
+
 def replay(
     log: LogArgument,
     out: Annotated[Path, typer.Option(help="RUN directory to make.")],
@@ -63,6 +72,10 @@ def replay(
     rate: Annotated[
         float, typer.Option(min=0, help="1: at the pace of the drive; 0: as fast as possible.")
     ] = 0.0,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Calibration of the robot, by `slam calibrate --out`.", readable=False),
+    ] = None,
     resume: Annotated[
         Path | None, typer.Option(help="RUN whose map to continue.", readable=False)
     ] = None,
@@ -99,7 +112,7 @@ def replay(
 
     if start and resume is None:
         raise typer.BadParameter("--start says where in the map of --resume RUN the log starts")
-    settings = load_slam(config, set_ or [])
+    settings = load_slam(config, set_ or [], calibration)
     prior_map = read_prior_map(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
     processes = processes or worker_count()
@@ -122,6 +135,10 @@ def report(
             show_default="report.html in RUN",
         ),
     ] = None,
+    frame: Annotated[
+        _Frame,
+        typer.Option(help="What the truth speaks of: relations by scan matching of the laser."),
+    ] = _Frame.base,
 ) -> None:
     """Evaluate runs against their truth; write report.html and report.json."""
     from slam.evaluation.report.write import write_report
@@ -129,7 +146,7 @@ def report(
     if out is None and len(runs) > 1:
         raise typer.BadParameter("several runs need --out PAGE, such as --out compared.html")
     page = out or runs[0] / "report.html"
-    reports = write_report(runs, truth, page)
+    reports = write_report(runs, truth, page, frame.value)
     for found in reports:
         _tell_figures(found.figures)
         for warning in found.warnings:
@@ -249,7 +266,7 @@ def common(
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     "Map": {"replay": replay, "report": report, "reoptimise": reoptimise, "demo": demo},
-    "Robot": {"init": init, "online": online},
+    "Robot": {"init": init, "calibrate": calibrate, "online": online},
     "Logs": {
         "simulate": simulate, "import": import_, "info": info, "doctor": doctor,
         "recover": recover, "export": export,

@@ -69,6 +69,8 @@ def _first_line(model: type[BaseModel]) -> str:
 
 def _default(field: FieldInfo) -> str:
     value = field.get_default(call_default_factory=True)
+    if value is None:
+        return ""
     if isinstance(value, bool):
         return f"`{str(value).lower()}`"
     if isinstance(value, str):
@@ -84,6 +86,8 @@ def _allowed(field: FieldInfo) -> str:
         return f"{len(get_args(kind))} numbers"
     if kind is bool:
         return "`true`, `false`"
+    if get_origin(kind) is types.UnionType and types.NoneType in get_args(kind):
+        return "number, or left out"
     if get_origin(kind) is types.UnionType:
         return " or ".join(str(getattr(k, "__name__", k)) for k in get_args(kind))
     limits = [_limit(limit) for limit in field.metadata]

@@ -16,28 +16,6 @@ LogArgument = Annotated[
 ]
 
 
-def simulate(
-    world: Annotated[str, typer.Argument(help="Name of a world; `list` names them all.")],
-    out: Annotated[Path | None, typer.Option(help="Log to write (.mcap).")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Decides geometry, noise and odometry.")] = 0,
-    laser: Annotated[str, typer.Option(help="Preset of the range finder.")] = "hokuyo-181",
-    noise: Annotated[str, typer.Option(help="Preset of the odometry's noise.")] = "typical",
-    passes: Annotated[
-        int, typer.Option(min=1, help="Passes through the world; every second one in reverse.")
-    ] = 1,
-) -> None:
-    """Drive a simulated robot through a world and log what it senses, with the truth."""
-    from slam.tools.simulate import simulate_log, world_names
-
-    if world == "list":
-        typer.echo("\n".join(world_names()))
-        return
-    if out is None:
-        raise typer.BadParameter("say where to write the log: --out FILE.mcap")
-    count = simulate_log(world, out, seed, laser, noise, passes)
-    echo(f"{out}: {count} messages")
-
-
 def import_(
     file: Annotated[
         Path,

@@ -12,6 +12,7 @@ from slam.backend.pose_graph import GraphConfig
 from slam.frontend.keyframes import KeyframeConfig
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import ScanConfig
+from slam.mapping.calibration import CalibrationConfig
 from slam.mapping.laser import LaserConfig
 from slam.mapping.loop_closing import LoopConfig
 from slam.mapping.odometry import OdometryConfig, RobotLimits
@@ -28,6 +29,7 @@ class SlamConfig(BaseModel):
 
     laser: LaserConfig = LaserConfig()
     robot: RobotLimits = RobotLimits()
+    calibration: CalibrationConfig = CalibrationConfig()
     scan: ScanConfig = ScanConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     matcher: MatchConfig = MatchConfig()

@@ -17,6 +17,7 @@ from slam.backend.pose_graph import PoseGraph
 from slam.frontend.deskew import deskew
 from slam.frontend.scan import PreparedScan
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
+from slam.mapping.calibration import Corrector
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe, preparer
 from slam.mapping.keyframe_edges import KeyframeEdgeBuilder
@@ -80,7 +81,9 @@ class Slam:
         self.odometry_faults: Counter[str] = Counter()  # and gaps between scans, per kind
         self.matches = 0
         self.faulty_scans: set[int] = set()  # of keyframes to which the odometry does not lead
-        self.extrinsics = LaserExtrinsics(0, 0.0, 0.0, 0.0)
+        self.extrinsics = config.calibration.mount(LaserExtrinsics(0, 0.0, 0.0, 0.0))
+        self.odometry: WheelOdometry | None = None  # the newest reading, corrected
+        self._corrected = Corrector(config.calibration)
         self.graph: PoseGraph | None = None
         self.loops = LoopCloser(config.loops, config.matcher, submit)
         self._prepare = preparer(config.scan)
@@ -126,9 +129,11 @@ class Slam:
 
     def step(self, message: Message) -> None:
         """Take in one message, in the order of the log."""
+        message = self._corrected(message)
         if isinstance(message, LaserScan):
             self._sync.add_scan(message)
         elif isinstance(message, WheelOdometry):
+            self.odometry = message
             if self._laser_odometry is not None:
                 self.noted[NOT_USED] += 1
             elif not self._sync.add_odometry(message):

@@ -16,6 +16,7 @@ from slam.drivers.pioneer import PioneerConfig
 from slam.drivers.pioneer_decoder import MODELS
 from slam.logs.messages import LaserExtrinsics
 from slam.logs.recording import RecorderConfig
+from slam.mapping.calibration import CalibrationConfig
 from slam.mapping.config import SlamConfig
 from slam.runs.config_file import load_config, load_model
 from slam.runs.errors import ConfigError
@@ -141,7 +142,24 @@ class RobotConfig(BaseModel):
     laser: LaserPort
     mount: MountConfig
     recording: RecordingConfig = RecordingConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
     slam: SlamConfig = SlamConfig()
+
+    @model_validator(mode="after")
+    def _calibrated(self) -> RobotConfig:
+        """Hand the calibration to the pipeline, which corrects what it is given."""
+        if "calibration" in self.model_fields_set:
+            slam = self.slam.model_copy(update={"calibration": self.calibration})
+            object.__setattr__(self, "slam", slam)  # the model is frozen from here on
+        return self
+
+
+class CalibrationFile(BaseModel):
+    """What `slam calibrate` writes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    calibration: CalibrationConfig
 
 
 def _port_itself(port: str) -> str:
@@ -167,15 +185,25 @@ def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
     return config
 
 
-def load_slam(path: Path | None, overrides: Sequence[str] = ()) -> SlamConfig:
+def load_slam(
+    path: Path | None, overrides: Sequence[str] = (), calibration: Path | None = None
+) -> SlamConfig:
     """Settings of the pipeline from a file of them, or from the `[slam]` part of a `robot.toml`.
+
+    A file of `slam calibrate` takes the place of the calibration in that; overrides come last.
 
     Raises:
         ConfigError: like `load_robot`.
     """
     if path is not None and _is_of_a_robot(path):
-        return load_robot(path, overrides).slam
-    return load_config(path, overrides)
+        config = load_robot(path, overrides).slam
+    else:
+        config = load_config(path, overrides)
+    if calibration is None:
+        return config
+    own = [one for one in overrides if one.strip().startswith("calibration.")]
+    found = load_model(CalibrationFile, calibration, own).calibration
+    return config.model_copy(update={"calibration": found})
 
 
 def _is_of_a_robot(path: Path) -> bool:

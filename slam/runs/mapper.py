@@ -47,7 +47,6 @@ class Mapper:
         """
         self._slam = Slam(config or SlamConfig())
         self._messages: list[Message] = []
-        self._odometry: Pose2 | None = None
         x, y, theta = (float(value) for value in laser_pose)
         self._feed(LaserExtrinsics(0, x, y, theta))
 
@@ -79,7 +78,6 @@ class Mapper:
         read = np.array(ranges, dtype=np.float32)
         if read.ndim != 1 or not np.isfinite([x, y, theta, angle_min, angle_step]).all():
             raise ValueError("ranges must be (n,), odometry and angles finite numbers")
-        self._odometry = Pose2(x, y, theta)
         self._feed(WheelOdometry(stamp_ns, x, y, theta))
         self._feed(LaserScan(stamp_ns, angle_min, angle_step, read, 0.0, range_max))
 
@@ -137,10 +135,11 @@ class Mapper:
 
     def _since_keyframe(self) -> tuple[int, Pose2]:
         """Index of the last keyframe and the odometry since, keyframe_T_now."""
-        if not self._slam.keyframes or self._odometry is None:
+        now = self._slam.odometry
+        if not self._slam.keyframes or now is None:
             raise ValueError("no scan could be used yet")
         last = self._slam.keyframes[-1]
-        return last.index, last.odom_T_base.between(self._odometry)
+        return last.index, last.odom_T_base.between(Pose2(now.x, now.y, now.theta))
 
     def _feed(self, message: Message) -> None:
         self._messages.append(message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from slam.backend.se2 import between, compose
 from slam.logs.mcap_log import LogWriter, open_log
 from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan, Message, TruePose
 from slam.logs.trajectory import Trajectory, read_tum, write_tum
+from slam.mapping.calibration import mount_in_force
 from slam.mapping.config import SlamConfig
 from slam.maps.nav2_map import write_map_png, write_nav2_map
 from slam.maps.occupancy import build_map
@@ -162,7 +164,10 @@ def _write_map(
 ) -> None:
     """Draw the map anew from the scans that the run keeps; without any, there is none."""
     scans = [m for m in run.messages if isinstance(m, LaserScan)]
-    all_extrinsics = [m for m in run.messages if isinstance(m, LaserExtrinsics)]
+    settings_then = json.loads(run.config_json)
+    all_extrinsics = [
+        mount_in_force(m, settings_then) for m in run.messages if isinstance(m, LaserExtrinsics)
+    ]
     rows: NDArray[np.int64] = np.searchsorted(
         trajectory.stamps_ns, [scan.stamp_ns for scan in scans]
     )

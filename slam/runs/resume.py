@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from gtsam import Pose2
 
 from slam.logs.messages import KeyframeDecision, LaserExtrinsics, LaserScan, TruePose
 from slam.logs.trajectory import path_length
+from slam.mapping.calibration import mount_in_force
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe, preparer
 from slam.mapping.relocalise import Matrix, PriorMap
@@ -29,7 +31,8 @@ def read_prior_map(directory: Path, config: SlamConfig, start: str = "") -> Prio
     if not len(stamps) or any(int(stamp) not in scans for stamp in stamps):
         raise RunError(f"{directory}: holds no scans of its keyframes: it cannot be resumed")
     all_extrinsics = [m for m in stored.messages if isinstance(m, LaserExtrinsics)]
-    extrinsics = all_extrinsics[-1] if all_extrinsics else LaserExtrinsics(0, 0.0, 0.0, 0.0)
+    stated = all_extrinsics[-1] if all_extrinsics else LaserExtrinsics(0, 0.0, 0.0, 0.0)
+    extrinsics = mount_in_force(stated, json.loads(stored.config_json))
     odometry = dict(zip(stored.odometry.stamps_ns.tolist(), stored.odometry.poses, strict=True))
     travelled = path_length(stored.keyframes.poses)
     prepare = preparer(config.scan)

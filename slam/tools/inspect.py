@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from slam.logs.atomic_write import atomic_write
-from slam.logs.doctor import Diagnosis, diagnose
+from slam.logs.doctor import Check, Diagnosis, diagnose
 from slam.logs.errors import shown
 from slam.logs.findings import Finding, Severity, seconds
 from slam.logs.importers.detect import is_foreign
@@ -119,11 +119,16 @@ def examine_log(
         LogError: the log cannot be read.
         RunError: the JSON file cannot be written.
     """
-    from slam.tools.doctor.motion_check import (
-        MotionCheck,  # the matcher, which `slam info` does without
-    )
+    # The matcher, which `slam info` does without.
+    from slam.tools.doctor.calibration_check import CalibrationCheck, known_calibration
+    from slam.tools.doctor.motion_check import MotionCheck
 
-    found = diagnose(path, [MotionCheck(), _Counter(on_progress)])
+    checks: list[Check] = [
+        MotionCheck(),
+        CalibrationCheck(known_calibration(path)),
+        _Counter(on_progress),
+    ]
+    found = diagnose(path, checks)
     if json_file is not None:
         text = json.dumps(found.as_json(), indent=2, allow_nan=False)
         try:

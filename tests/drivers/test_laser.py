@@ -25,6 +25,7 @@ def scan(laser, pose=MIDDLE, seed=0):
         ("utm-30lx", 1081, -135.0, 135.0),
         ("sick-361", 361, -90.0, 90.0),
         ("urg-04lx", 682, -119.53, 119.88),
+        ("lds-01", 360, 0.0, 359.0),
     ],
 )
 def test_presets_have_the_geometry_of_their_device(name, beams, first_deg, last_deg):
@@ -95,3 +96,28 @@ def test_a_sweep_on_the_move_measures_each_beam_from_its_own_place():
 def test_impossible_lasers_are_refused(wrong):
     with pytest.raises(ValueError, match=r"."):
         replace(LaserConfig(beams=181, angle_min=-1.5, angle_step=0.017), **wrong)
+
+
+@pytest.mark.parametrize("name", ["rplidar-a1", "ld06"])
+def test_motors_that_turn_unevenly_give_other_beam_counts_over_the_same_view(name):
+    laser, rng = LASERS[name], np.random.default_rng(1)
+    sweeps = [laser.sweep(rng) for _ in range(200)]
+    counts = {one.beams for one in sweeps}
+    assert counts == set(range(laser.beams - laser.spare_beams, laser.beams + 1))
+    views = [one.beams * one.angle_step for one in sweeps]
+    assert np.allclose(views, laser.beams * laser.angle_step)
+    assert all(one.beams * one.beam_period_s <= 1.0 / one.rate_hz for one in sweeps)
+
+
+def test_noise_may_grow_with_the_range():
+    laser = replace(QUIET, sigma=0.003, sigma_share=0.01)
+    exact = ROOM.cast(MIDDLE, QUIET.bearings, 30.0)
+    errors = np.array([scan(laser, seed=k).ranges - exact for k in range(300)])
+    np.testing.assert_allclose(
+        errors.std(axis=0), np.hypot(0.003, 0.01 * exact), rtol=0.25
+    )  # of 300 draws each
+
+
+def test_a_laser_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="left in a sweep"):
+        replace(QUIET, spare_beams=QUIET.beams)

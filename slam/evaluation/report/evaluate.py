@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,9 @@ from slam.evaluation.report.credibility import credibility_figures
 from slam.evaluation.report.read_run import Run, read_run
 from slam.evaluation.report.truth import Truth, find_clock_offset, read_truth, sample
 from slam.logs.trajectory import NS, Poses, Stamps, Trajectory, path_length
+from slam.runs.errors import ReportError
 
+Frame = Literal["base", "laser"]
 RPE_LENGTHS_M = (1.0, 5.0, 10.0, 50.0)
 
 # Always there, so that a reader need not ask; null where the truth does not tell.
@@ -81,17 +83,27 @@ class RunReport:
     sigmas: SigmaErrors | None = None
 
 
-def evaluate(run_dir: Path, truth: Path | None = None) -> RunReport:
+def evaluate(run_dir: Path, truth: Path | None = None, frame: Frame = "base") -> RunReport:
     """Judge a run by the truth in a file, or else by the `/truth` channel of its log.
 
     Raises:
         ReportError: if the run or the truth cannot be read.
     """
-    return evaluate_run(read_run(run_dir), read_truth(truth) if truth else None)
+    return evaluate_run(read_run(run_dir), read_truth(truth) if truth else None, frame)
 
 
-def evaluate_run(run: Run, truth: Truth | None) -> RunReport:
-    """Judge a run by a truth, or else by the `/truth` channel of its log."""
+def evaluate_run(run: Run, truth: Truth | None, frame: Frame = "base") -> RunReport:
+    """Judge a run by a truth, or else by the `/truth` channel of its log.
+
+    The truth speaks of the robot's base, or of its laser, as relations by scan matching do.
+
+    Raises:
+        ReportError: the frame is the laser, and the truth is that of the log, or the run does
+            not say where the laser sits.
+    """
+    whole = run
+    if frame == "laser":
+        run = _at_the_laser(run, truth)
     if truth is None and run.records.truth is not None:
         truth = Truth("trajectory", "/truth", trajectory=run.records.truth)
     warnings = list(run.warnings)
@@ -113,9 +125,24 @@ def evaluate_run(run: Run, truth: Truth | None) -> RunReport:
             if sigmas is not None:
                 figures["anees"] = _number(sigmas.credibility.anees)
                 figures["credibility"] = credibility_figures(sigmas.credibility)
-    figures["consistency"] = _clean(consistency(run))
+    figures["consistency"] = _clean(consistency(whole))
     figures["warnings"] = warnings
     return RunReport(run, truth, figures, tuple(warnings), relations, errors, sigmas)
+
+
+def _at_the_laser(run: Run, truth: Truth | None) -> Run:
+    """The run with the poses of its laser; estimates on the way are of the base, and left out."""
+    extrinsics = run.records.extrinsics
+    if truth is None:
+        raise ReportError(
+            f"{run.name}: the truth in its log is of the base: leave --frame laser out"
+        )
+    if extrinsics is None:
+        raise ReportError(f"{run.name}: does not say where the laser sits: leave --frame laser out")
+    base_T_laser = np.array([extrinsics.x, extrinsics.y, extrinsics.theta])
+    at = run.trajectory
+    moved = Trajectory(at.stamps_ns, compose(at.poses, base_T_laser))
+    return replace(run, trajectory=moved, records=replace(run.records, estimates=()))
 
 
 def _run_figures(run: Run, truth: Truth | None) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from slam.logs.messages import (
     TruePose,
 )
 from slam.logs.trajectory import Trajectory, read_tum, sorted_trajectory
+from slam.mapping.calibration import mount_in_force
 from slam.maps.nav2_map import read_nav2_map
 from slam.runs.errors import ReportError
 
@@ -141,7 +142,10 @@ def _read_records(path: Path, warnings: list[str]) -> RunRecords:
             warnings += [f"run.mcap: {n} skipped, {cause}" for cause, n in log.skipped.items()]
     except LogError as error:
         warnings.append(f"run.mcap is damaged, read {len(messages)} messages of it: {error}")
-    return replace(collect_records(messages), config=config)
+    records = collect_records(messages)
+    if records.extrinsics is not None:
+        records = replace(records, extrinsics=mount_in_force(records.extrinsics, config))
+    return replace(records, config=config)
 
 
 def _read_config(data: bytes, warnings: list[str]) -> Mapping[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slam.evaluation.report.compare import group_runs, groups_json
-from slam.evaluation.report.evaluate import RunReport, evaluate_run
+from slam.evaluation.report.evaluate import Frame, RunReport, evaluate_run
 from slam.evaluation.report.html import render
 from slam.evaluation.report.paired import compare_with_first, paired_json
 from slam.evaluation.report.read_run import read_run
@@ -19,7 +19,7 @@ SCHEMA_VERSION = 1  # of report.json, as report.schema.json beside this module d
 
 
 def write_report(
-    run_dirs: Sequence[Path], truth: Path | None, out_html: Path
+    run_dirs: Sequence[Path], truth: Path | None, out_html: Path, frame: Frame = "base"
 ) -> tuple[RunReport, ...]:
     """Evaluate runs and write one page, and beside it the same numbers as JSON.
 
@@ -29,7 +29,7 @@ def write_report(
     if not run_dirs:
         raise ReportError("no run was given to report on")
     known = read_truth(truth) if truth else None
-    reports = tuple(evaluate_run(read_run(path), known) for path in run_dirs)
+    reports = tuple(evaluate_run(read_run(path), known, frame) for path in run_dirs)
     runs, all_figures = [r.run for r in reports], [r.figures for r in reports]
     groups, pairs = group_runs(runs, all_figures), compare_with_first(reports)
     document = {

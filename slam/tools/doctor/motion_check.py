@@ -14,10 +14,10 @@ import numpy as np
 from gtsam import Pose2
 
 from slam.backend.chi_square import chi_square_limit
+from slam.evaluation.calibration.closed_form import MotionFit, fit_motion
 from slam.logs.findings import Finding, Severity
 from slam.logs.messages import LaserExtrinsics, Message
 from slam.mapping.odometry import OdometryConfig
-from slam.tools.doctor.motion_fit import MotionFit, fit_motion
 from slam.tools.doctor.motion_match import NO_MOUNT, Judged, PairMatcher
 from slam.tools.doctor.motion_pairs import BLOCK, Pair, PairCollector
 

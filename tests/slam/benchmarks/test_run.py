@@ -23,7 +23,7 @@ def test_an_entry_names_a_function_and_its_arguments(name):
     [
         ("outlier", {}, "did you mean outliers"),
         ("outliers", {}, "--data DIR, where DIR holds `graphs/`"),
-        ("log", {"workers": 2}, "cannot use workers, only benchmark, pareto"),
+        ("log", {"workers": 2}, "cannot use workers, only benchmark, calibration, pareto"),
     ],
 )
 def test_a_wrong_call_is_told_before_anything_is_measured(tmp_path, name, options, message):

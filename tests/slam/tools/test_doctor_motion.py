@@ -15,9 +15,9 @@ from slam.drivers.simulators.worlds import SCENARIOS, scenario
 from slam.logs.importers.detect import read_any
 from slam.logs.messages import LaserExtrinsics, LaserScan, WheelOdometry
 
+from slam.evaluation.calibration.closed_form import fit_motion
 from slam.tools.doctor import motion_check
 from slam.tools.doctor.motion_check import MotionCheck
-from slam.tools.doctor.motion_fit import fit_motion
 from slam.tools.doctor.motion_pairs import BLOCK, Blocks, PairCollector
 
 REAL = Path(__file__).parents[3].parent / "shared" / "data" / "real"
