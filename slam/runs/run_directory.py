@@ -14,7 +14,8 @@ from slam.backend.g2o import write_g2o
 from slam.logs.file_lock import hold_folder
 from slam.logs.mcap_log import LogWriter, library_name
 from slam.logs.trajectory import format_stamp, write_tum
-from slam.maps.nav2_map import write_map_png, write_nav2_map
+from slam.maps.map_picture import write_map_png
+from slam.maps.nav2_map import write_nav2_map
 from slam.runs.errors import RunError
 from slam.runs.offline import Result
 from slam.runs.viewer_frames import maps_along_the_way, transforms
