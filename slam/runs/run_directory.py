@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -104,7 +105,10 @@ def write_results(
     write_times(directory / "graph.times.csv", result)
     write_nav2_map(directory, result.grid)
     write_map_png(directory / "map.png", result.grid, result.trajectory)
-    with LogWriter(directory / "run.mcap", identity, keep_partial=False) as log:
+    never = math.inf  # a run that was cut off leaves nothing; bytes must not depend on the time
+    with LogWriter(
+        directory / "run.mcap", identity, sync_period_s=never, keep_partial=False
+    ) as log:
         log.add_attachment("config.json", config_json, "application/json")
         if write_input is None:
             log.write(result.slam.extrinsics)
