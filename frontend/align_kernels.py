@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from slam.frontend.compiled import kernel, merged, part
+from slam.frontend.compiled import addressed_kernel, merged, part
 from slam.frontend.covariance_kernels import combine, invert3, own_information
 from slam.frontend.degeneracy import STRONGEST_PAIRS, TRUSTED_SHARE, weakest_direction
 from slam.frontend.evidence_kernels import discount_weak_direction, step_back
@@ -31,7 +31,7 @@ COARSE = 2  # passes after which other starts are compared
 ATTEMPTS = 3  # runs with a prior: one free, one from where the prior puts it, one held there
 
 
-@kernel
+@addressed_kernel
 def align(source, references, start, prior, passes, others, limits):
     """Align from `start`, target_T_source as (x, y, theta), and judge the outcome.
 

@@ -6,10 +6,13 @@ No fastmath, so that equal inputs give equal bits.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
-from numba import njit
+from numba import njit, typeof, types
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 from slam.frontend.kernel_cache import NUMBA, cache_folder
 
 _OPTIONS: dict[str, Any] = {
@@ -39,9 +42,52 @@ class _Part(CPUDispatcher):
         return self.py_func(*args)
 
 
+class _KernelCache(FunctionCache):
+    """Finds compiled kernels on disk, without all that would be needed to compile one.
+
+    Numba loads its implementations of Python and numpy first, 190 modules: 0.5 s of CPU and 23 MB
+    that a run does not use whose kernels are all there.  The compiler loads them if it is called.
+    Of numba this uses what is not public: this class, and `rtsys`, which owns arrays.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the kernel for these types, None if it has not been kept."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls; it may allocate arrays."""
     return _kept(function, _OPTIONS)
+
+
+def addressed_kernel(function: Callable[..., Any]) -> Any:
+    """Compile a `kernel` that others may call by its `Address`."""
+    return _kept(function, {**_OPTIONS, "no_cfunc_wrapper": False})
+
+
+class Address(types.WrapperAddressProtocol):  # type: ignore[misc]
+    """An `addressed_kernel`, for arguments like those given, as an argument of other kernels.
+
+    They call it where it is.  What they name instead is compiled into them once more: the match
+    would take its half minute twice.
+    """
+
+    def __init__(self, called: Any, arguments: tuple[Any, ...]) -> None:
+        # Tells numba what an address is: without `_KernelCache` it would know by now.
+        import_module("numba.experimental.function_type")
+        kinds = tuple(typeof(argument) for argument in arguments)
+        called.compile(kinds)
+        self._made = called.overloads[kinds]
+
+    def __wrapper_address__(self) -> int:
+        name = self._made.fndesc.llvm_cfunc_wrapper_name
+        return int(self._made.library.get_pointer_to_function(name))
+
+    def signature(self) -> Any:
+        """Its types."""
+        return self._made.signature
 
 
 def bare_kernel(function: Callable[..., Any]) -> Any:
@@ -84,10 +130,12 @@ def _kept(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         return njit(**options)(function)
     before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder)
     try:
-        made = njit(cache=True, **options)(function)
+        cache = _KernelCache(function)
     except RuntimeError:  # the folder was there a moment ago
         return njit(**options)(function)
     finally:
         NUMBA.CACHE_DIR = before
-    in_folder = str(made.stats.cache_path).startswith(str(folder))
-    return made if in_folder else njit(**options)(function)
+    made: Any = njit(**options)(function)
+    if str(cache.cache_path).startswith(str(folder)):
+        made._cache = cache  # as `cache=True` does with numba's own
+    return made

@@ -93,21 +93,23 @@ def replay(
     view_port: PortOption = PORT,
     view_token: TokenOption = "",
     foxglove: FoxgloveOption = False,
-    processes: Annotated[
+    threads: Annotated[
         int,
         typer.Option(
+            "--threads",
+            "--processes",  # what they were before
             min=0,
-            help="Processes that place the scans at the end; 0: one per core, at most 4. The "
-            "result is the same. Always 1 with --view or --foxglove.",
+            help="Threads that place the scans at the end; 0: one per core, at most 4. The result "
+            "is the same.",
         ),
     ] = 0,
 ) -> None:
     """Run SLAM over a log, as fast as possible or at its own pace; the result is the same."""
     from slam.cli.progress import stage_progress
     from slam.online.robot_config import load_slam
-    from slam.runs.process_pool import worker_count
     from slam.runs.replay import replay as run_replay
     from slam.runs.resume import read_prior_map
+    from slam.runs.thread_pool import thread_count
     from slam.viewer.viewers import ViewOptions, watched
 
     if start and resume is None:
@@ -115,12 +117,11 @@ def replay(
     settings = load_slam(config, set_ or [], calibration)
     prior_map = read_prior_map(resume, settings, start) if resume else None
     options = ViewOptions(view, view_address, view_port, view_token, foxglove)
-    processes = processes or worker_count()
-    if view or foxglove:
-        processes = 1  # threads serve the page: such a process must not be copied
     with watched(options, echo) as viewers, stage_progress(log) as progress:
         raw = from_ is _From.raw
-        summary = run_replay(log, out, settings, progress, raw, rate, viewers, prior_map, processes)
+        summary = run_replay(
+            log, out, settings, progress, raw, rate, viewers, prior_map, threads or thread_count()
+        )
     _tell_summary(out, summary)
     exit_on_loss(summary["lost"], "lost")
 

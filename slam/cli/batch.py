@@ -12,7 +12,7 @@ import typer
 from slam.cli.output import LOSS, echo
 from slam.logs.errors import missing_extra
 from slam.runs.errors import RunError
-from slam.runs.process_pool import usable_cores
+from slam.runs.machine import usable_cores
 
 _Workers = Annotated[
     int | None,

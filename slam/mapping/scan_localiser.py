@@ -12,8 +12,10 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from slam.frontend.match_types import MatchConfig, Prior, Reference
-from slam.frontend.matching import match
+from slam.frontend.batch_kernels import FITTING, INLIERS, LAST_STEP, PAIRS, THETA, TRIED, X
+from slam.frontend.batch_matching import can_be_batched, match_each, view_of_each
+from slam.frontend.match_types import TOLERANCE_M, MatchConfig, Prior, Reference
+from slam.frontend.matching import CONVERGED_TOLERANCES, match
 from slam.frontend.scan import PreparedScan
 from slam.mapping.keyframe import Keyframe, view_centres
 
@@ -51,9 +53,9 @@ class LocaliseConfig(BaseModel):
     )
 
 
-def prior_of(guess: Pose2, config: LocaliseConfig) -> Prior:
-    """The guess as a wide prior."""
-    return Prior(guess, np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2)
+def covariance_of(config: LocaliseConfig) -> Matrix:
+    """(3, 3) of the error of a guess."""
+    return np.diag([config.sigma_trans, config.sigma_trans, config.sigma_rot]) ** 2
 
 
 def _kd_tree(points: Matrix) -> Any:
@@ -86,10 +88,13 @@ class ScanLocaliser:
         matcher: MatchConfig,
     ) -> None:  # fmt: skip
         self._keyframes = keyframes
+        self._at = np.ascontiguousarray(poses)
         self._poses = [Pose2(*pose) for pose in poses]
         self._tree = _kd_tree(np.hstack([view_centres(keyframes, poses), poses[:, :2]]))
         self._config = config
         self._matcher = matcher
+        self._covariance = covariance_of(config)
+        self._sigmas = np.sqrt(np.diag(self._covariance))
         self._last: _Located | None = None
         self.matches = 0
 
@@ -143,27 +148,71 @@ class ScanLocaliser:
             velocity = Pose2.Logmap(last.found.between(found)) / (stamp_ns - last.stamp_ns)
         return _Located(stamp_ns, guess, found, velocity)
 
-    def match_from(self, scan: PreparedScan, guess: Pose2) -> Matched:
-        """The pose matched from one start and its quality, 0 where it is refused.
+    def match_batch(self, scans: Sequence[PreparedScan], guesses: Matrix) -> list[Matched]:
+        """What `match_from` gives for each scan from its guess (n, 3), to the bit.
 
-        It changes nothing here, so that a copy of this process may call it as well.
+        It changes nothing here, so that several threads may call it at once.
         """
-        count = min(self._config.neighbours, len(self._poses))
-        view = (*guess.transformFrom(scan.centre), guess.x(), guess.y())
-        near = np.atleast_1d(self._tree.query(view, k=count)[1])
-        base = self._poses[int(near[0])]
-        references = [
-            Reference(base.between(self._poses[int(n)]), self._keyframes[int(n)].prepared)
-            for n in near
+        near = self._nearest(view_of_each(scans, guesses))
+        used, rows = np.unique(near, return_inverse=True)
+        keyframes = [self._keyframes[k].prepared for k in used.tolist()]
+        if not (can_be_batched(keyframes, self._matcher) and np.isfinite(guesses).all()):
+            places = zip(scans, guesses, strict=True)
+            return [self.match_from(scan, Pose2(*guess)) for scan, guess in places]
+        found = match_each(
+            scans, guesses, keyframes, self._at[used], rows.reshape(near.shape), self._covariance,
+            self._matcher,
+        )  # fmt: skip
+        bases = [self._poses[k] for k in near[:, 0].tolist()]
+        return [
+            self._judged(base, Pose2(*guess), row)
+            for base, guess, row in zip(bases, guesses.tolist(), found.tolist(), strict=True)
         ]
-        prior = prior_of(base.between(guess), self._config)
+
+    def match_from(self, scan: PreparedScan, guess: Pose2) -> Matched:
+        """The pose matched from one start and its quality, 0 where it is refused."""
+        at = np.array([[guess.x(), guess.y(), guess.theta()]])
+        near = self._nearest(view_of_each([scan], at))[0].tolist()
+        base = self._poses[near[0]]
+        references = [
+            Reference(base.between(self._poses[n]), self._keyframes[n].prepared) for n in near
+        ]
+        prior = Prior(base.between(guess), self._covariance)
         result = match(references, scan, prior.target_T_source, self._matcher, prior)
+        if not result.converged:
+            return guess, 0.0
+        return self._accepted(
+            base, guess, result.target_T_source, result.pair_inlier_fraction,
+            result.inlier_fraction,
+        )  # fmt: skip
+
+    def _nearest(self, views: Matrix) -> NDArray[np.int64]:
+        """(n, k) the keyframes with the most similar views."""
+        count = min(self._config.neighbours, len(self._poses))
+        near: NDArray[np.int64] = self._tree.query(views, k=count)[1]
+        return near.reshape(len(views), count)
+
+    def _judged(self, base: Pose2, guess: Pose2, row: list[float]) -> Matched:
+        """What `match` would say to a row of `match_each`."""
         if (
-            not result.converged
-            or result.pair_inlier_fraction < self._config.min_pair_inlier_fraction
+            row[PAIRS] < self._matcher.min_pairs
+            or row[LAST_STEP] > CONVERGED_TOLERANCES * TOLERANCE_M
         ):
             return guess, 0.0
-        error = np.abs(Pose2.Logmap(prior.target_T_source.between(result.target_T_source)))
-        if (error > 3.0 * np.sqrt(np.diag(prior.covariance))).any():
+        pair_inlier_fraction = row[INLIERS] / row[PAIRS]
+        if pair_inlier_fraction < self._matcher.min_pair_inlier_fraction:
             return guess, 0.0
-        return base * result.target_T_source, result.inlier_fraction
+        found = Pose2(*row[X : THETA + 1])
+        return self._accepted(base, guess, found, pair_inlier_fraction, row[FITTING] / row[TRIED])
+
+    def _accepted(
+        self, base: Pose2, guess: Pose2, base_T_found: Pose2, pair_inlier_fraction: float,
+        inlier_fraction: float,
+    ) -> Matched:  # fmt: skip
+        """The match, unless too few of its pairs fit or it is too far from the guess."""
+        if pair_inlier_fraction < self._config.min_pair_inlier_fraction:
+            return guess, 0.0
+        error = np.abs(Pose2.Logmap(base.between(guess).between(base_T_found)))
+        if (error > 3.0 * self._sigmas).any():
+            return guess, 0.0
+        return base * base_T_found, inlier_fraction

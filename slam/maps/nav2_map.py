@@ -1,4 +1,4 @@
-"""Writes maps: `map.pgm` + `map.yaml` for nav2's map server, and `map.png` for people.
+"""Writes maps for nav2's map server, `map.pgm` + `map.yaml`, and reads them back.
 
 The thresholds are chosen so that unknown stays unknown: nav2 reads grey 205 as an occupancy
 of (255 - 205) / 255 = 0.19608 and calls it free if that is below `free_thresh`.  Its own
@@ -14,16 +14,12 @@ from numpy.typing import NDArray
 
 from slam.logs.errors import LogError
 from slam.logs.messages import OccupancyMap
-from slam.logs.trajectory import Trajectory
 
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.196
 
 # Grey values of the trinary mode of nav2_map_server (map_io.cpp)
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
-
-_PNG_LONG_SIDE = 12.0  # inches
-_PNG_DPI = 150
 
 
 def trinary(cells: NDArray[np.int8]) -> NDArray[np.uint8]:
@@ -85,43 +81,6 @@ def read_nav2_map(directory: Path) -> OccupancyMap:
     return OccupancyMap(0, resolution, origin[0], origin[1], cells)
 
 
-def write_map_png(path: Path, grid: OccupancyMap, trajectory: Trajectory | None = None) -> None:
-    """Draw the known part of the map in metres, with the trajectory over it if given.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    rows, columns = known_part(grid.cells)
-    cells = grid.cells[rows, columns]
-    left = grid.origin_x + columns.start * grid.resolution
-    bottom = grid.origin_y + rows.start * grid.resolution
-    width, height = cells.shape[1] * grid.resolution, cells.shape[0] * grid.resolution
-    figure = Figure(figsize=_figure_size(width, height), dpi=_PNG_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.imshow(
-        _shaded(_shrunk(cells)),
-        origin="lower",
-        extent=(left, left + width, bottom, bottom + height),
-        interpolation="antialiased",
-    )
-    if trajectory is not None and len(trajectory):
-        x, y = trajectory.poses[:, 0], trajectory.poses[:, 1]
-        axes.plot(x, y, color="#d1495b", linewidth=1.1, alpha=0.9, label="trajectory")
-        axes.plot(x[:1], y[:1], "o", color="#2a7f62", markersize=6, label="start")
-        axes.plot(x[-1:], y[-1:], "s", color="#1d3557", markersize=6, label="end")
-        axes.legend(loc="best", fontsize=8, framealpha=0.85, edgecolor="#cccccc")
-    axes.set(xlabel="x [m]", ylabel="y [m]")
-    axes.set(xlim=(left, left + width), ylim=(bottom, bottom + height))
-    axes.tick_params(labelsize=8, color="#888888")
-    for spine in axes.spines.values():
-        spine.set_color("#bbbbbb")
-    figure.savefig(path, metadata={"Software": None})
-
-
 def known_part(cells: NDArray[np.int8]) -> tuple[slice, slice]:
     """Return the rows and columns that hold everything known; all of them if nothing is."""
     known = cells >= 0
@@ -129,32 +88,3 @@ def known_part(cells: NDArray[np.int8]) -> tuple[slice, slice]:
     if len(rows) == 0:
         return slice(0, cells.shape[0]), slice(0, cells.shape[1])
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def _shrunk(cells: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Merge cells until there are about as many as pixels; the most occupied one stays visible.
-
-    Otherwise the picture of a 400 m map would take gigabytes to draw.
-    """
-    step = max(1, int(max(cells.shape) // (_PNG_LONG_SIDE * _PNG_DPI)))
-    if step == 1:
-        return cells
-    rows, columns = (-(-n // step) for n in cells.shape)
-    padded = np.full((rows * step, columns * step), -1, dtype=np.int8)
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    return np.asarray(padded.reshape(rows, step, columns, step).max(axis=(1, 3)))
-
-
-def _figure_size(width: float, height: float) -> tuple[float, float]:
-    """Return inches with the map's aspect, not narrower than a legend needs."""
-    scale = (_PNG_LONG_SIDE - 1.0) / max(width, height)
-    return max(width * scale, 3.0) + 1.0, max(height * scale, 2.0) + 1.0
-
-
-def _shaded(cells: NDArray[np.int8]) -> NDArray[np.uint8]:
-    """Return RGB pixels: white where free, slate where occupied, pale grey where unknown."""
-    share = np.linspace(0.0, 1.0, 101)[:, None] ** 2  # so that hardly seen free space is pale
-    table = np.empty((256, 3))
-    table[:] = (232, 235, 238)
-    table[:101] = (1.0 - share) * (255, 255, 255) + share * (30, 41, 59)
-    return table.round().astype(np.uint8)[cells.view(np.uint8)]

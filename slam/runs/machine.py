@@ -1,7 +1,8 @@
-"""What the system offers that is not the same everywhere: memory used, signals to end by."""
+"""What the system offers that is not the same everywhere: cores, memory used, signals to end by."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from types import ModuleType
@@ -16,6 +17,13 @@ except ImportError:  # Windows
 ENDING_SIGNALS: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
+
+
+def usable_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def peak_memory_mb() -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 from gtsam import Pose2
@@ -26,15 +26,16 @@ from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
 from slam.mapping.message_checks import validate_message
 from slam.mapping.relocalise import PriorMap
-from slam.mapping.scan_localiser import ScanLocaliser
+from slam.mapping.scan_localiser import Matched, ScanLocaliser
 from slam.mapping.slam import BACKWARDS, FinalMap, Slam
 from slam.mapping.stage_timer import NullTimer
 from slam.maps.occupancy import build_map
 from slam.runs.errors import SlamError
-from slam.runs.process_pool import with_outcomes
+from slam.runs.thread_pool import with_outcomes
 
 Source = Callable[[], Iterable[Message]]
 Progress = Callable[[str, float], None]  # stage, messages or scans done
+BATCH = 50  # scans that are placed at once: some 10 ms of work, and a part of `progress.EVERY`
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ def run_offline(
     progress: Progress | None = None,
     step: Callable[[Slam, Message], None] = Slam.step,
     prior_map: PriorMap | None = None,
-    processes: int = 1,
+    threads: int = 1,
 ) -> Result:
     """Run SLAM over a source of messages, which is read twice.
 
@@ -72,7 +73,7 @@ def run_offline(
         progress: called with the stage and the number of messages or scans done.
         step: how a message is handed to the pipeline; replaced to time it.
         prior_map: a map to continue, which becomes part of this one.
-        processes: to place the scans with; more than one only in a process without other threads.
+        threads: to place the scans with.
 
     Raises:
         SlamError: the log holds no usable scan, or no odometry, or its place in the prior map is
@@ -84,7 +85,7 @@ def run_offline(
         slam.resume(prior_map)
     truth = _track(slam, _timed(source(), timer), on_progress, step)
     if prior_map is None:
-        return finish(slam, source, truth, timer, on_progress, processes)
+        return finish(slam, source, truth, timer, on_progress, threads)
     if (
         slam.not_relocalised
         and len(slam.scans) == len(prior_map.keyframes)
@@ -98,7 +99,7 @@ def run_offline(
         )
     before = [k.scan for k in prior_map.keyframes]
     truth = [*prior_map.truth, *truth]
-    return finish(slam, lambda: chain(before, source()), truth, timer, on_progress, processes)
+    return finish(slam, lambda: chain(before, source()), truth, timer, on_progress, threads)
 
 
 def _track(
@@ -130,11 +131,11 @@ def feed(slam: Slam, message: Message, step: Callable[[Slam, Message], None] = S
 
 def finish(
     slam: Slam, source: Source, truth: Sequence[TruePose] = (), timer: NullTimer | None = None,
-    progress: Progress | None = None, processes: int = 1,
+    progress: Progress | None = None, threads: int = 1,
 ) -> Result:  # fmt: skip
     """Optimise a graph whose input has ended, and make all results from it.
 
-    More than one of the `processes` is only for a process without other threads.
+    Scans are placed with so many `threads`; the result does not depend on them.
 
     Raises:
         SlamError: there was no usable scan.
@@ -152,7 +153,7 @@ def finish(
     stamps, found, matches = slam.scans.stamps_ns, final.scans.poses, 0
     if config.localise.every_scan:
         with timer("localising"):
-            found, matches = _localise(slam, source, final, timer, on_progress, processes)
+            found, matches = _localise(slam, source, final, timer, on_progress, threads)
     keyframe_scans = np.array([k.scan_index for k in slam.keyframes])
     with timer("map"):
         base_T_laser = np.array([slam.extrinsics.x, slam.extrinsics.y, slam.extrinsics.theta])
@@ -190,23 +191,31 @@ def _timed(messages: Iterable[Message], timer: NullTimer) -> Iterable[Message]:
 
 def _localise(
     slam: Slam, source: Source, final: FinalMap, timer: NullTimer, on_progress: Progress,
-    processes: int,
+    threads: int,
 ) -> tuple[NDArray[np.float64], int]:  # fmt: skip
     """Poses of all scans by matching each among the keyframes, (n, 3), and the matches made."""
     config, predicted = slam.config, final.scans
     localiser = ScanLocaliser(slam.keyframes, final.poses, config.localise, config.matcher)
     found = predicted.poses.copy()
 
-    def prepared() -> Iterator[tuple[PreparedScan, Pose2]]:
-        for row, scan in enumerate(_scans_again(slam, _timed(source(), timer))):
-            yield prepare(scan, slam.extrinsics, config.scan), Pose2(*predicted.poses[row])
+    def batches() -> Iterator[tuple[list[PreparedScan], NDArray[np.float64]]]:
+        scans = _scans_again(slam, _timed(source(), timer))
+        row = 0
+        while batch := [prepare(s, slam.extrinsics, config.scan) for s in islice(scans, BATCH)]:
+            yield batch, predicted.poses[row : row + len(batch)]
+            row += len(batch)
 
-    matched = with_outcomes(prepared(), lambda seen: localiser.match_from(*seen), processes)
-    for row, ((scan, guess), first) in enumerate(matched):
-        faulty, reach_m = bool(predicted.odometry_faulty[row]), float(predicted.reach_m[row])
-        pose = localiser.locate(scan, guess, faulty, first, reach_m)
-        found[row] = pose.x(), pose.y(), pose.theta()
-        on_progress("localising", row + 1)
+    def match(batch: tuple[list[PreparedScan], NDArray[np.float64]]) -> list[Matched]:
+        return localiser.match_batch(*batch)
+
+    row = 0
+    for (scans, guesses), matched in with_outcomes(batches(), match, threads):
+        for scan, guess, first in zip(scans, guesses, matched, strict=True):
+            faulty, reach_m = bool(predicted.odometry_faulty[row]), float(predicted.reach_m[row])
+            pose = localiser.locate(scan, Pose2(*guess), faulty, first, reach_m)
+            found[row] = pose.x(), pose.y(), pose.theta()
+            row += 1
+        on_progress("localising", row)
     return found, localiser.matches
 
 

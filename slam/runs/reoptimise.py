@@ -22,7 +22,8 @@ from slam.logs.messages import FactorRecord, LaserExtrinsics, LaserScan, Message
 from slam.logs.trajectory import Trajectory, read_tum, write_tum
 from slam.mapping.calibration import mount_in_force
 from slam.mapping.config import SlamConfig
-from slam.maps.nav2_map import write_map_png, write_nav2_map
+from slam.maps.map_picture import write_map_png
+from slam.maps.nav2_map import write_nav2_map
 from slam.maps.occupancy import build_map
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError

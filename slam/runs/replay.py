@@ -99,7 +99,7 @@ def replay(
     rate: float = 0.0,
     observer: Observer | None = None,
     prior_map: PriorMap | None = None,
-    processes: int = 1,
+    threads: int = 1,
 ) -> dict[str, Any]:
     """Run SLAM over a log as `run_log` does, and write a RUN directory; returns its summary.
 
@@ -109,7 +109,7 @@ def replay(
         RunError: the output cannot be written.
     """
     with new_run(out) as partial:
-        run = run_log(log, config, progress, from_raw, rate, observer, prior_map, processes)
+        run = run_log(log, config, progress, from_raw, rate, observer, prior_map, threads)
         return run.write(partial)
 
 
@@ -121,7 +121,7 @@ def run_log(
     rate: float = 0.0,
     observer: Observer | None = None,
     prior_map: PriorMap | None = None,
-    processes: int = 1,
+    threads: int = 1,
 ) -> FinishedRun:
     """Run SLAM over a log.  Of a recording in several parts, those behind the named one count too.
 
@@ -134,7 +134,7 @@ def run_log(
             results are the same.
         observer: shown the run as it goes; the results are the same.
         prior_map: a map to continue, which becomes part of the new run.
-        processes: to place the scans with in the end, if this process has no other threads.
+        threads: to place the scans with in the end; the results are the same.
 
     Raises:
         LogError: the log cannot be read.
@@ -159,7 +159,7 @@ def run_log(
         if progress is not None:
             progress("compiling", 0)
         warm_up(config)
-    result, timing = timed_run(source, config, progress, observer, prior_map, processes)
+    result, timing = timed_run(source, config, progress, observer, prior_map, threads)
     resumed = len(prior_map.keyframes) if prior_map is not None else None
     return FinishedRun(result, config, log.name, source_sha256, timing, skipped, resumed)
 
@@ -176,7 +176,7 @@ def timed_run(
     progress: Progress | None,
     observer: Observer | None = None,
     prior_map: PriorMap | None = None,
-    processes: int = 1,
+    threads: int = 1,
 ) -> tuple[Result, dict[str, Any]]:
     """Run offline; also the figures of `summary.json`'s `timing`."""
     timer, step, watcher = Stopwatch(), TimedStep(), observer or NullObserver()
@@ -191,7 +191,7 @@ def timed_run(
         watcher.show(slam, message)
 
     wall, cpu = time.perf_counter(), _cpu_s()
-    result = run_offline(source, config, timer, on_stage, on_message, prior_map, processes)
+    result = run_offline(source, config, timer, on_stage, on_message, prior_map, threads)
     wall, cpu = time.perf_counter() - wall, _cpu_s() - cpu
     watcher.finish(result)
     stamps = result.trajectory.stamps_ns

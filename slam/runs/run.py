@@ -16,9 +16,9 @@ from slam.logs.messages import OccupancyMap
 from slam.logs.trajectory import Trajectory
 from slam.mapping.config import SlamConfig
 from slam.runs.config_file import load_config, settings_as_overrides
-from slam.runs.process_pool import worker_count
 from slam.runs.replay import FinishedRun, run_log
 from slam.runs.run_directory import new_run
+from slam.runs.thread_pool import thread_count
 
 POSE_COLUMNS = [("stamp_ns", np.int64), ("x", float), ("y", float), ("theta", float)]
 
@@ -103,7 +103,7 @@ def replay(
     out: str | Path | None = None,
     config: str | Path | SlamConfig | None = None,
     set: Mapping[str, Any] | None = None,
-    processes: int | None = None,
+    threads: int | None = None,
 ) -> Run:
     """Map a recording, as the command `slam replay` does.
 
@@ -112,8 +112,8 @@ def replay(
         out: RUN directory to write; None writes nothing.
         config: a TOML file or a configuration; None takes the defaults.
         set: settings that win over the configuration, such as `{"loops.enabled": False}`.
-        processes: to place the scans with in the end; None takes one for each core, 4 at most.
-            Use 1 in a process that has threads of its own.
+        threads: to place the scans with in the end; None takes one for each core, 4 at most.  The
+            result is the same for any number.
 
     Raises:
         LogError: the log cannot be read.
@@ -122,11 +122,11 @@ def replay(
         RunError: `out` exists already, or cannot be written.
     """
     settings = _settings(config, set or {})
-    workers = worker_count() if processes is None else processes
+    workers = thread_count() if threads is None else threads
     if out is None:
-        return Run(run_log(Path(log), settings, processes=workers))
+        return Run(run_log(Path(log), settings, threads=workers))
     with new_run(Path(out)) as partial:
-        finished = run_log(Path(log), settings, processes=workers)
+        finished = run_log(Path(log), settings, threads=workers)
         finished.write(partial)
     return Run(finished)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -14,7 +15,8 @@ from slam.backend.g2o import write_g2o
 from slam.logs.file_lock import hold_folder
 from slam.logs.mcap_log import LogWriter, library_name
 from slam.logs.trajectory import format_stamp, write_tum
-from slam.maps.nav2_map import write_map_png, write_nav2_map
+from slam.maps.map_picture import write_map_png
+from slam.maps.nav2_map import write_nav2_map
 from slam.runs.errors import RunError
 from slam.runs.offline import Result
 from slam.runs.viewer_frames import maps_along_the_way, transforms
@@ -103,7 +105,10 @@ def write_results(
     write_times(directory / "graph.times.csv", result)
     write_nav2_map(directory, result.grid)
     write_map_png(directory / "map.png", result.grid, result.trajectory)
-    with LogWriter(directory / "run.mcap", identity, keep_partial=False) as log:
+    never = math.inf  # a run that was cut off leaves nothing; bytes must not depend on the time
+    with LogWriter(
+        directory / "run.mcap", identity, sync_period_s=never, keep_partial=False
+    ) as log:
         log.add_attachment("config.json", config_json, "application/json")
         if write_input is None:
             log.write(result.slam.extrinsics)

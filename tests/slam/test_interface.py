@@ -33,7 +33,7 @@ def log(messages, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(log):
-    return slam.replay(log, set=SETTINGS, processes=1)
+    return slam.replay(log, set=SETTINGS, threads=1)
 
 
 def test_a_run_is_arrays_with_named_columns(run, messages):

@@ -11,8 +11,8 @@ from slam.runs.kernel_warmup.second_process import (
     kept_on_disk,
 )
 from slam.runs.kernel_warmup.simulated_room import measure_room
+from slam.runs.machine import usable_cores
 from slam.runs.offline import run_offline
-from slam.runs.process_pool import usable_cores
 
 _STEP_S, _STEP_M = 0.1, 0.1
 _SCANS = 40

@@ -12,9 +12,9 @@ from slam.evaluation.report.write import write_report
 from slam.logs.errors import missing_extra
 from slam.runs.config_file import load_config
 from slam.runs.errors import RunError
-from slam.runs.process_pool import worker_count
 from slam.runs.replay import replay
 from slam.runs.run_directory import new_run
+from slam.runs.thread_pool import thread_count
 from slam.tools.imports import import_log
 
 GRAPH = Path("data", "killian.g2o.zip")
@@ -35,7 +35,7 @@ def run_real_demo(out: Path, echo: Callable[[str], None]) -> None:
         log, run = partial / "killian.mcap", partial / "killian"
         imported = import_log(graph, log)
         echo(f"mapping {imported.scans} scans of the Killian Court; this takes a minute or two")
-        summary = replay(log, run, load_config(None), processes=worker_count())
+        summary = replay(log, run, load_config(None), threads=thread_count())
         reports = write_report([run], None, partial / "report.html")
     figures, loops = reports[0].figures, summary["loops"]
     Console(soft_wrap=True).print(

@@ -86,3 +86,33 @@ def test_a_start_from_a_scan_that_slid_leads_no_further_than_a_guess_may_be_off(
 
     assert found() < 0.5  # as far behind as the scan before
     assert found(reach_m=0.25) == pytest.approx(2.0, abs=0.55)
+
+
+@pytest.mark.parametrize("method", ["point_to_line", "psm"])
+def test_a_batch_finds_what_single_matches_find_to_the_bit(method):
+    among = localiser(ROOM, [Pose2(0.4 * k, 0.1 * k, 0.7 * k - 3.0) for k in range(9)])
+    among._matcher = MatchConfig(method=method)
+    rng, scans, guesses = np.random.default_rng(5), [], []
+    for k in range(12):
+        true = Pose2(0.3 * k, 0.05 * k, 0.5 * k - 3.0)
+        scans.append(seen(ROOM, true, 100 + k)[1])
+        off = rng.normal(0.0, 0.02, 3) * (20.0 if k % 5 == 0 else 1.0)  # some are refused
+        guesses.append(np.array([true.x(), true.y(), true.theta()]) + off)
+    found = among.match_batch(scans, np.array(guesses))
+    alone = [among.match_from(s, Pose2(*g)) for s, g in zip(scans, guesses, strict=True)]
+    assert {quality > 0.0 for _, quality in found} == {True, False}
+    for (pose, quality), (single, expected) in zip(found, alone, strict=True):
+        assert quality == expected
+        assert (pose.x(), pose.y(), pose.theta()) == (single.x(), single.y(), single.theta())
+
+
+def test_a_scan_that_sees_nothing_and_a_guess_that_is_nowhere_keep_the_guess():
+    among = localiser(ROOM, [Pose2(0.0, 0.0, 0.0)])
+    raw, scan = seen(ROOM, Pose2(0.0, 0.0, 0.0), 1)
+    blind = prepare(
+        type(raw)(0, raw.angle_min, raw.angle_step, np.full_like(raw.ranges, np.inf)), MOUNT, SCAN
+    )
+    guesses = np.zeros((2, 3))
+    (_, seeing), (_, unseen) = among.match_batch([scan, blind], guesses)
+    assert seeing > 0.5
+    assert unseen == 0.0

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from slam.logs.messages import OccupancyMap
-from slam.logs.trajectory import Trajectory
 
-from slam.maps.nav2_map import _shrunk, known_part, write_map_png, write_nav2_map
+from slam.maps.nav2_map import known_part, write_nav2_map
 
 
 def nav2_load(yaml_path: Path) -> tuple[np.ndarray, float, list[float]]:
@@ -51,27 +50,7 @@ def test_the_top_of_the_image_is_the_far_side_of_the_map(tmp_path):
     assert pixels[18] == 0
 
 
-def test_a_picture_is_drawn_even_of_nothing(tmp_path):
-    grid = corner_map()
-    trajectory = Trajectory(np.array([0, 1]), np.array([[-12.3, 7.2, 0], [-12.2, 7.25, 0]]))
-    write_map_png(tmp_path / "a.png", grid, trajectory)
-    write_map_png(tmp_path / "b.png", grid, trajectory)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    unknown = OccupancyMap(1, 0.05, 0.0, 0.0, np.full((1, 1), -1, dtype=np.int8))
-    write_map_png(tmp_path / "c.png", unknown)
-    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_the_known_part_is_tight():
     cells = np.full((10, 10), -1, dtype=np.int8)
     cells[2:5, 3:9] = 0
     assert known_part(cells) == (slice(2, 5), slice(3, 9))
-
-
-def test_a_large_map_is_drawn_small_and_keeps_its_walls():
-    cells = np.zeros((3601, 5500), dtype=np.int8)
-    cells[1234, :] = 100
-    shrunk = _shrunk(cells)
-    assert shrunk.shape == (1201, 1834)
-    assert np.all(shrunk[1234 // 3] == 100)
-    assert np.count_nonzero(shrunk) == 1834

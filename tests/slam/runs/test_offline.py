@@ -53,9 +53,9 @@ def test_every_scan_has_a_pose_an_odometry_and_a_covariance(office):
     assert result.lost == {}
 
 
-def test_two_processes_find_the_scans_where_one_does(office):
+def test_two_threads_find_the_scans_where_one_does(office):
     messages, alone = office
-    together = run_offline(lambda: messages, CONFIG, processes=2)
+    together = run_offline(lambda: messages, CONFIG, threads=2)
     assert together.trajectory.poses.tobytes() == alone.trajectory.poses.tobytes()
     assert together.matches == alone.matches
 
