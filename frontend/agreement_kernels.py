@@ -95,9 +95,8 @@ def beam_says(scan, i, stack, x, y, theta, gate, scale, spacing):
         vx, vy = px - stack.geometries[ref, 2], py - stack.geometries[ref, 3]
         wx, wy = seen_x - stack.geometries[ref, 2], seen_y - stack.geometries[ref, 3]
         beyond = np.hypot(vx, vy) - np.hypot(wx, wy)
-        if beyond < -gate or (
-            beyond > gate and looks_through(scan, c, s, tx, ty, seen_x, seen_y, gate)
-        ):
+        through = beyond > gate and looks_through(scan, (c, s, tx, ty), seen_x, seen_y, gate)
+        if beyond < -gate or through:
             says = CONTRADICTS
     return says
 
