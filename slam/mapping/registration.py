@@ -54,6 +54,7 @@ AFTER_FAULT = 0.3  # probability of a fault right after one: they last some seco
 # a tenth of a fault had been seen.
 STEPS_BEFORE, FAULTS_BEFORE = 1000.0, 0.1
 LEAST_PIECES = 4.0  # that fit, of a match: three people who walk along are three
+GROUP_PIECES = 8.0  # more than a group of people about the robot
 AS_WELL = 1.05  # factor in inliers within which two matches fit alike
 IMPOSSIBLE = "faster than the robot can move"
 # The correlative search when all hypotheses fit badly: about the middle of the odometry's step.
@@ -174,7 +175,9 @@ class _Registrar:
         prior = self.odometry.prior
         first = match(self.references, self.scan, prior.target_T_source, self.matcher, prior)
         right, alone = self._if_right(first), self._if_match_is_wrong()
-        contradicted = alone.log_posterior > right.log_posterior + SURE_NATS
+        # What a match rests on may be all that moves along, where it is little.
+        few = right.seen.fitting < GROUP_PIECES
+        contradicted = few and alone.log_posterior > right.log_posterior + SURE_NATS
         if self._beyond_doubt(right) and not contradicted and self._checked_fault(right) is None:
             return Registration(first, True, True, "")
         faults = list(self._faults(right))
