@@ -7,12 +7,17 @@ beam is off by 9 cm at 5 m.  Odometry says how the base moved from the first bea
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from slam.logs.messages import LaserExtrinsics, LaserScan
 
 Vector = NDArray[np.float64]
+# When the beams of a scan were measured: from its stamp on, up to its stamp, or from its stamp on
+# in reverse, as by a laser that turns clockwise and whose driver sorts its readings.
+SweepOrder = Literal["from the stamp", "to the stamp", "in reverse"]
+SWEEP_ORDERS: tuple[SweepOrder, ...] = ("from the stamp", "to the stamp", "in reverse")
 _GAP = 10.0  # beam spacings between neighbours that lie on one surface
 
 
@@ -22,9 +27,10 @@ def sweep_ns(scan: LaserScan) -> int:
 
 
 def deskew(
-    scan: LaserScan, extrinsics: LaserExtrinsics, moved: tuple[float, float, float]
-) -> LaserScan:
-    """Return the scan that the laser would have made where its first beam was measured.
+    scan: LaserScan, extrinsics: LaserExtrinsics, moved: tuple[float, float, float],
+    order: SweepOrder = "from the stamp",
+) -> LaserScan:  # fmt: skip
+    """Return the scan that the laser would have made at rest where it was at the scan's stamp.
 
     Beams keep their bearings.  A bearing that no beam looked along in truth, at one end of a
     scan taken while turning, reads nan.
@@ -32,28 +38,39 @@ def deskew(
     Args:
         scan: with `beam_period_s`.
         extrinsics: `base_T_laser`.
-        moved: x, y (m) and theta (rad) of the base at the last beam, seen from the first; in
+        moved: x, y (m) and theta (rad) of the base at the end of a sweep, seen from its begin; in
             between it moves evenly.
+        order: when the beams were measured.
     """
     count = len(scan.ranges)
     if count < 2 or not any(moved):
         return scan
     bearings = scan.angle_min + scan.angle_step * np.arange(count, dtype=np.float64)
     ranges = scan.ranges.astype(np.float64)
-    turned, distances = _seen_from_the_first(bearings, ranges, extrinsics, moved)
+    turned, distances = _seen_at_the_stamp(
+        bearings, ranges, extrinsics, moved, _shares(count, order)
+    )
     at = np.arange(count) + turned / scan.angle_step
     found = resampled(at, distances, abs(scan.angle_step)).astype(np.float32)
     return replace(scan, ranges=found, beam_period_s=0.0)
 
 
-def _seen_from_the_first(
-    bearings: Vector, ranges: Vector, extrinsics: LaserExtrinsics, moved: tuple[float, float, float]
-) -> tuple[Vector, Vector]:
+def _shares(count: int, order: SweepOrder) -> Vector:
+    """(count,) of the sweep, from the stamp to each beam."""
+    share = np.linspace(0.0, 1.0, count)
+    if order == "to the stamp":
+        return share - 1.0
+    return share[::-1] if order == "in reverse" else share
+
+
+def _seen_at_the_stamp(
+    bearings: Vector, ranges: Vector, extrinsics: LaserExtrinsics,
+    moved: tuple[float, float, float], share: Vector,
+) -> tuple[Vector, Vector]:  # fmt: skip
     """By how much each beam's bearing changes, (n,) rad, and its range, (n,) m."""
-    share = np.arange(len(ranges)) / (len(ranges) - 1)
     heading = share * moved[2]
     cos, sin = np.cos(heading), np.sin(heading)
-    # From the laser at the first beam to the laser at each, in the base's axes then.
+    # From the laser at the stamp to the laser at each beam, in the base's axes then.
     ahead = share * moved[0] + (cos - 1.0) * extrinsics.x - sin * extrinsics.y
     left = share * moved[1] + sin * extrinsics.x + (cos - 1.0) * extrinsics.y
     direction = bearings + extrinsics.theta + heading

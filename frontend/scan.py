@@ -40,7 +40,7 @@ class ScanConfig(BaseModel):
         0.20, gt=0, description="rad, less certain normals are not used as lines"
     )
     deskew: bool = Field(
-        False, description="take the motion during a sweep out of scans that carry their timing"
+        True, description="take the motion during a sweep out of scans that carry their timing"
     )
 
 

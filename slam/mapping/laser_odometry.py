@@ -14,7 +14,7 @@ from gtsam import Pose2
 from numpy.typing import NDArray
 
 from slam.frontend.agreement import agreement
-from slam.frontend.deskew import deskew, sweep_ns
+from slam.frontend.deskew import SweepOrder, deskew, sweep_ns
 from slam.frontend.match_types import Prior, Reference
 from slam.logs.messages import LaserExtrinsics, LaserScan
 from slam.mapping.config import SlamConfig
@@ -47,10 +47,12 @@ class LaserOdometry:
         self._matched_ns = 0  # stamp of the last scan with a match
         self._broken_s = 0.0  # time without a match after which a new track was begun
 
-    def place(self, scan: LaserScan, extrinsics: LaserExtrinsics) -> ScanWithOdometry:
+    def place(
+        self, scan: LaserScan, extrinsics: LaserExtrinsics, order: SweepOrder
+    ) -> ScanWithOdometry:
         """Where the scan was taken, and how the laser moved meanwhile."""
         moved = self._sweep(scan)
-        prepared = self._prepare(deskew(scan, extrinsics, moved), extrinsics)
+        prepared = self._prepare(deskew(scan, extrinsics, moved, order), extrinsics)
         if self._last_ns is None:
             self._matched_ns = self._last_ns = scan.stamp_ns
         seconds = max(scan.stamp_ns - self._last_ns, 0) * 1e-9

@@ -29,6 +29,7 @@ from slam.mapping.pruning import Pruner
 from slam.mapping.records import Records, decision_record, estimate_record
 from slam.mapping.registration import Registration
 from slam.mapping.relocalise import PriorMap, relocalise
+from slam.mapping.scan_checks import BeamTiming, NothingCode
 from slam.mapping.scan_history import ScanHistory
 from slam.mapping.scan_priors import PredictedPoses, predict_poses
 from slam.mapping.scan_sync import (
@@ -39,11 +40,14 @@ from slam.mapping.scan_sync import (
     next_stamped_scan,
 )
 from slam.mapping.stage_timer import NullTimer
+from slam.mapping.sweep_timing import SweepTiming
 
 MATCHES_A_STEP = 2  # keyframes tried in one step; more would delay the robot's live pose
 CLOSING_SCANS = 10  # scans after which a loop search must be done, if no keyframe comes before
 BYPASS = "bypasses pruned keyframes"
 BACKWARDS = "scan with a stamp that runs backwards"
+WRONG_TIMING = "scan whose beam times contradict its period, not corrected for motion"
+CODED = "beams whose largest range stands for no return"
 NOT_USED = "odometry that is not used: the map is made by the laser alone"
 STALE = "odometry older than its stamp, left out"
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
@@ -91,6 +95,9 @@ class Slam:
         self._selector = KeyframeSelector(config)
         self._edge_builder = KeyframeEdgeBuilder(config)
         self._pruner = Pruner(config.pruning, config.loops.min_path_m, submit)
+        self._timing = BeamTiming()
+        self.sweeps = SweepTiming(config.matcher, self._prepare)
+        self.nothing_code = NothingCode()
         self._sync = ScanSync(config.scan.deskew)
         use = config.odometry.use
         self._laser_odometry = None if use else LaserOdometry(config, self._prepare)
@@ -131,7 +138,7 @@ class Slam:
         """Take in one message, in the order of the log."""
         message = self._corrected(message)
         if isinstance(message, LaserScan):
-            self._sync.add_scan(message)
+            self._sync.add_scan(self._checked(message))
         elif isinstance(message, WheelOdometry):
             self.odometry = message
             if self._laser_odometry is not None:
@@ -145,6 +152,16 @@ class Slam:
         else:
             return
         self._drain(wait=True)
+
+    def _checked(self, scan: LaserScan) -> LaserScan:
+        """The scan without what its driver says wrongly."""
+        scan = self._timing.checked(scan) if self.config.scan.deskew else scan
+        if self._timing.contradicted:
+            self.noted[WRONG_TIMING] = self._timing.contradicted
+        scan = self.nothing_code.removed(scan)
+        if self.nothing_code.beams:
+            self.noted[CODED] = self.nothing_code.beams
+        return scan
 
     def finish_input(self) -> None:
         """No more messages will come: use what still waits."""
@@ -214,13 +231,15 @@ class Slam:
     def _next(self, wait: bool) -> ScanWithOdometry | None:
         """The next scan and where the odometry, or the laser alone, has it."""
         if self._laser_odometry is None:
-            if self._sync.has_odometry or not (paired := self._sync.next(wait)):
-                return self._sync.next(wait)
+            paired = self._sync.next(wait)
+            if paired is None or self._sync.has_odometry:
+                return paired
             self._laser_odometry = LaserOdometry(self.config, self._prepare)
-            scan: LaserScan | None = paired.scan
-        else:
-            scan = self._sync.pop()
-        return self._laser_odometry.place(scan, self.extrinsics) if scan else None
+            return self._laser_odometry.place(paired.scan, self.extrinsics, self.sweeps.order)
+        scan = self._sync.pop()
+        if scan is None:
+            return None
+        return self._laser_odometry.place(scan, self.extrinsics, self.sweeps.order)
 
     @property
     def laser_only(self) -> bool:
@@ -238,7 +257,8 @@ class Slam:
         if len(self.scans) and scan.stamp_ns - self.scans.last_ns > GAP_NS:
             self.odometry_faults["scan-gap"] += 1
         if self.config.scan.deskew:
-            scan = deskew(scan, self.extrinsics, paired.moved)
+            self.sweeps.watch(scan, self.extrinsics, odom_T_base, paired.moved)
+            scan = deskew(scan, self.extrinsics, paired.moved, self.sweeps.order)
         self._latest = next_stamped_scan(
             scan, odom_T_base, len(self.scans), self._latest, paired.unknown_s, paired.broken_s
         )

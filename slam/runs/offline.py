@@ -230,7 +230,8 @@ def _scans_again(slam: Slam, messages: Iterable[Message]) -> Iterator[LaserScan]
         if message.stamp_ns != stamps[row]:
             continue
         sweep = slam.scans.sweep(row)
-        yield message if sweep is None else deskew(message, slam.extrinsics, sweep)
+        scan = slam.nothing_code.without_code(message)
+        yield scan if sweep is None else deskew(scan, slam.extrinsics, sweep, slam.sweeps.order)
         row += 1
 
 
