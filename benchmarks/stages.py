@@ -10,33 +10,21 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-from slam.logs.parts import Recording
 
 from benchmarks.benchmark import logs_in
 from slam.mapping.config import SlamConfig
 from slam.runs.errors import RunError
 from slam.runs.kernel_warmup.warmup import warm_up
-from slam.runs.machine import peak_memory_mb
-from slam.runs.offline import run_offline
-from slam.runs.replay import SLAM_TOPICS
-from slam.runs.run_directory import write_results
-from slam.runs.stopwatch import Stopwatch
 from slam.tools.imports import import_log
-
-STAGES = (
-    "reading", "matching", "closing", "optimising", "pruning", "localising", "map", "writing",
-)  # fmt: skip
 
 
 def bench_stages(data: Path, quick: bool, echo: Callable[[str], None]) -> dict[str, Any]:
     """Replay each log of `data`/benchmark once, in a process of its own; the first with `quick`.
 
-    Row keys: seconds of CPU per stage of STAGES, `start_s` (the interpreter, and all that is
+    Row keys: seconds of CPU per stage of `stage_times`, `start_s` (the interpreter, and all that is
     imported), `rest_s` (of the run, outside of every stage), `cpu_s` (all of it), `us_per_scan`
     and `ms_per_keyframe` (of `cpu_s` without `start_s`), `peak_mb`.
 
@@ -64,34 +52,10 @@ def bench_stages(data: Path, quick: bool, echo: Callable[[str], None]) -> dict[s
 def _in_a_process_of_its_own(log: Path, scratch: Path) -> dict[str, Any]:
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r}); "
-        f"from {__name__} import measure; measure({str(log)!r}, {str(scratch)!r})"
+        f"from benchmarks.stage_times import measure; measure({str(log)!r}, {str(scratch)!r})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RunError(f"{log.stem}: replay failed: {done.stderr.strip().splitlines()[-1]}")
     row: dict[str, Any] = json.loads(done.stdout)
     return row
-
-
-def measure(log: str, scratch: str) -> None:
-    """Map a log and write its results; print the row of it as JSON."""
-    start_s = time.process_time()
-    watch, config, recording = Stopwatch(time.process_time), SlamConfig(), Recording(log)
-    result = run_offline(lambda: recording.messages(SLAM_TOPICS), config, watch)
-    with tempfile.TemporaryDirectory(dir=scratch) as run, watch("writing"):
-        write_results(Path(run), result, {}, config.model_dump_json().encode())
-    cpu_s = time.process_time()
-    stages = {f"{stage}_s": watch.seconds.get(stage, 0.0) for stage in STAGES}
-    scans, keyframes, own_s = len(result.trajectory), len(result.keyframes), cpu_s - start_s
-    row = {
-        "scans": scans,
-        "keyframes": keyframes,
-        "start_s": start_s,
-        **stages,
-        "rest_s": own_s - sum(stages.values()),
-        "cpu_s": cpu_s,
-        "us_per_scan": 1e6 * own_s / scans,
-        "ms_per_keyframe": 1e3 * own_s / keyframes,
-        "peak_mb": peak_memory_mb(),
-    }
-    sys.stdout.write(json.dumps(row))

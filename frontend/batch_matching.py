@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from slam.frontend.align_kernels import align
 from slam.frontend.batch_kernels import FOUND, align_each, views
-from slam.frontend.compiled import Address
+from slam.frontend.kernel_address import Address
 from slam.frontend.match_types import MatchConfig, Matrix
 from slam.frontend.matching import NO_STARTS
 from slam.frontend.scan import PreparedScan

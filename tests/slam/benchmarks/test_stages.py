@@ -5,7 +5,7 @@ import json
 import pytest
 
 from benchmarks.run import BENCHMARKS, table
-from benchmarks.stages import STAGES, measure
+from benchmarks.stage_times import STAGES, measure
 from slam.tools.simulate import simulate_log
 
 
