@@ -33,7 +33,7 @@ class _Job:
     name: str
     folder: Path  # of the public logs
     scratch: Path
-    processes: int  # for one replay, 0: as many as are worthwhile
+    threads: int  # for one replay, 0: as many as are worthwhile
 
 
 def bench_benchmark(
@@ -79,7 +79,7 @@ def _row(job: _Job) -> dict[str, Any]:
     log, run = job.scratch / f"{name}.mcap", job.scratch / name
     import_log(folder / f"{name}.clf.gz", log)
     command = [sys.executable, "-m", "slam", "replay", str(log), "--out", str(run)]
-    command += ["--processes", str(job.processes)]
+    command += ["--threads", str(job.threads)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 3):
         raise RunError(f"{name}: replay failed: {done.stderr.strip().splitlines()[-1]}")

@@ -195,6 +195,17 @@ BENCHMARKS: Mapping[str, Benchmark] = {
             "refused_without": "refused without",
         },
     ),
+    "stages": Benchmark(
+        "where the processor time of a replay goes",
+        "benchmarks.stages:bench_stages", "data quick echo",
+        {
+            "log": "log", "start_s": "start s", "reading_s": "reading", "matching_s": "matching",
+            "closing_s": "closing", "optimising_s": "optimising", "localising_s": "localising",
+            "map_s": "map", "writing_s": "writing", "rest_s": "rest", "cpu_s": "CPU s",
+            "us_per_scan": "us per scan", "ms_per_keyframe": "ms per keyframe", "peak_mb": "MB",
+        },
+        data="`benchmark/` with NAME.clf.gz and NAME.relations of each log",
+    ),
     "view": Benchmark(
         "what watching a run costs",
         "benchmarks.view:bench_view", "data quick echo",

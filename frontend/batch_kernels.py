@@ -20,7 +20,7 @@ def align_each(align, scans, keyframes, near, guesses, covariance, passes, other
     beams than `min_pairs`, is left as it is.
 
     Args:
-        align: the kernel, by its address (`compiled.Address`).
+        align: the kernel, by its address (`kernel_address.Address`).
         scans: points, lines and flags of b scans end to end, starts (b + 1,), geometries (b, 5) and
             how many beams are valid (b,).
         keyframes: the fields of `References` with all keyframes of the batch; poses are map_T_base.

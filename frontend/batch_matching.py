@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from slam.frontend.align_kernels import align
 from slam.frontend.batch_kernels import FOUND, align_each, views
-from slam.frontend.compiled import Address
+from slam.frontend.kernel_address import Address
 from slam.frontend.match_types import MatchConfig, Matrix
 from slam.frontend.matching import NO_STARTS
 from slam.frontend.scan import PreparedScan
@@ -25,9 +25,9 @@ Rows = NDArray[np.int64]
 
 def can_be_batched(keyframes: Sequence[PreparedScan], config: MatchConfig) -> bool:
     """Whether `match_each` serves these settings, and lasers all of one resolution."""
-    reach2 = keyframes[0].reach2
+    table = keyframes[0].alone[2]  # shared by scans of one beam spacing
     return config.method == "point_to_line" and all(
-        k.valid > 2 and k.reach2 is reach2 for k in keyframes
+        k.valid > 2 and k.alone[2] is table for k in keyframes
     )
 
 

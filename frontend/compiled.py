@@ -6,13 +6,12 @@ No fastmath, so that equal inputs give equal bits.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
-from numba import njit, typeof, types
+from numba import njit
 from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from slam.frontend.kernel_cache import NUMBA, cache_folder
 
 _OPTIONS: dict[str, Any] = {
@@ -63,31 +62,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def addressed_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a `kernel` that others may call by its `Address`."""
+    """Compile a `kernel` that others may call by its `kernel_address.Address`."""
     return _kept(function, {**_OPTIONS, "no_cfunc_wrapper": False})
-
-
-class Address(types.WrapperAddressProtocol):  # type: ignore[misc]
-    """An `addressed_kernel`, for arguments like those given, as an argument of other kernels.
-
-    They call it where it is.  What they name instead is compiled into them once more: the match
-    would take its half minute twice.
-    """
-
-    def __init__(self, called: Any, arguments: tuple[Any, ...]) -> None:
-        # Tells numba what an address is: without `_KernelCache` it would know by now.
-        import_module("numba.experimental.function_type")
-        kinds = tuple(typeof(argument) for argument in arguments)
-        called.compile(kinds)
-        self._made = called.overloads[kinds]
-
-    def __wrapper_address__(self) -> int:
-        name = self._made.fndesc.llvm_cfunc_wrapper_name
-        return int(self._made.library.get_pointer_to_function(name))
-
-    def signature(self) -> Any:
-        """Its types."""
-        return self._made.signature
 
 
 def bare_kernel(function: Callable[..., Any]) -> Any:

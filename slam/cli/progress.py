@@ -19,10 +19,13 @@ EVERY = 200  # messages between two updates: drawing must not cost time
 
 @contextmanager
 def stage_progress(log: Path) -> Iterator[Tell]:
-    """A bar per stage of a run over `log`, on stderr; silent where that is no terminal."""
+    """A bar per stage of a run over `log`, on stderr.
+
+    Where that is no terminal it is silent, but for a line if kernels have to be compiled first.
+    """
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda stage, done: None
+        yield _tell_compiling
         return
     try:
         counts = Recording(log).counts()
@@ -42,6 +45,11 @@ def stage_progress(log: Path) -> Iterator[Tell]:
             bars.update(tasks[stage], completed=done, refresh=True)
 
         yield tell
+
+
+def _tell_compiling(stage: str, done: float) -> None:
+    if stage == "compiling":
+        echo("compiling kernels: once after an installation, it takes a moment")
 
 
 @contextmanager

@@ -59,15 +59,19 @@ def drift_corrected(
     graph puts the second one is spread evenly over the scans in between.
     """
     out = np.empty_like(odom_poses)
-    for s in range(len(odom_poses)):
+    segment = -1  # of the scan before: what holds for all of its scans is composed once
+    for s, (x, y, theta) in enumerate(odom_poses.tolist()):
         k = max(int(scan_keyframes[s]), 0)
-        a = int(keyframe_scans[k])
-        odom_T_a, map_T_a = Pose2(*odom_poses[a]), Pose2(*keyframe_poses[k])
-        pose = map_T_a * odom_T_a.between(Pose2(*odom_poses[s]))
-        if k + 1 < len(keyframe_scans) and s > a:
-            b = int(keyframe_scans[k + 1])
-            end = map_T_a * odom_T_a.between(Pose2(*odom_poses[b]))
-            correction = Pose2.Logmap(end.between(Pose2(*keyframe_poses[k + 1])))
+        if k != segment:
+            segment, is_last = k, k + 1 >= len(keyframe_scans)
+            a = int(keyframe_scans[k])
+            odom_T_a, map_T_a = Pose2(*odom_poses[a]), Pose2(*keyframe_poses[k])
+            if not is_last:
+                b = int(keyframe_scans[k + 1])
+                end = map_T_a * odom_T_a.between(Pose2(*odom_poses[b]))
+                correction = Pose2.Logmap(end.between(Pose2(*keyframe_poses[k + 1])))
+        pose = map_T_a * odom_T_a.between(Pose2(x, y, theta))
+        if not is_last and s > a:
             pose = pose * Pose2.Expmap(correction * ((s - a) / (b - a)))
         out[s] = pose.x(), pose.y(), pose.theta()
     return out

@@ -5,6 +5,7 @@ Both keep what they compile in the cache on disk, where each finds what the othe
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -104,4 +105,5 @@ def blank_scan(beams: int = 20) -> PreparedScan:
 
 
 if __name__ == "__main__":
+    gc.disable()  # as in `warm_up`
     compile_share()

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from slam.logs.messages import LaserExtrinsics, Message, WheelOdometry
 from slam.mapping.config import SlamConfig
 from slam.runs.kernel_warmup.second_process import (
@@ -23,10 +27,23 @@ def warm_up(config: SlamConfig) -> None:
 
     The robot drives to and fro once; a jump of the odometry makes the loop search run.
     """
-    if usable_cores() > 1 and kept_on_disk() and not compiled():
-        with compiling_in_second_process():
-            compile_matcher()
-    run_offline(lambda: _drive(), _in_the_room(config))
+    with _no_collector():
+        if usable_cores() > 1 and kept_on_disk() and not compiled():
+            with compiling_in_second_process():
+                compile_matcher()
+        run_offline(lambda: _drive(), _in_the_room(config))
+
+
+@contextmanager
+def _no_collector() -> Iterator[None]:
+    """A compiler makes millions of objects that are all in use: looking for others is a tenth."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _in_the_room(config: SlamConfig) -> SlamConfig:

@@ -5,6 +5,7 @@ import pytest
 from gtsam import Pose2
 from slam.drivers.simulators.laser import LASERS, take_scan
 from slam.drivers.simulators.world import World
+from slam.frontend.batch_matching import can_be_batched
 from slam.frontend.match_types import MatchConfig
 from slam.frontend.scan import ScanConfig, prepare
 from slam.logs.messages import LaserExtrinsics
@@ -98,6 +99,8 @@ def test_a_batch_finds_what_single_matches_find_to_the_bit(method):
         scans.append(seen(ROOM, true, 100 + k)[1])
         off = rng.normal(0.0, 0.02, 3) * (20.0 if k % 5 == 0 else 1.0)  # some are refused
         guesses.append(np.array([true.x(), true.y(), true.theta()]) + off)
+    keyframes = [k.prepared for k in among._keyframes]
+    assert can_be_batched(keyframes, among._matcher) == (method == "point_to_line")
     found = among.match_batch(scans, np.array(guesses))
     alone = [among.match_from(s, Pose2(*g)) for s, g in zip(scans, guesses, strict=True)]
     assert {quality > 0.0 for _, quality in found} == {True, False}
