@@ -42,7 +42,7 @@ class BeamTiming:
             self._periods.append((scan.stamp_ns - self._last_ns) * 1e-9)
         self._last_ns = scan.stamp_ns
         if not scan.beam_period_s or len(self._periods) < LEAST_PERIODS:
-            return replace(scan, beam_period_s=0.0) if scan.beam_period_s else scan
+            return scan
         period = float(np.median(self._periods))
         a_turn = scan.beam_period_s * 2.0 * math.pi / abs(scan.angle_step)
         if LEAST_SHARE <= a_turn / period <= GREATEST_SHARE:

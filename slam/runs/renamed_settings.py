@@ -42,6 +42,7 @@ FIXED = {
     "matcher.coarse_beams", "matcher.tolerance", "matcher.point_gate", "matcher.ndt_cell",
     "matcher.lasting",
     "tracking.search", "tracking.search_reach", "tracking.search_turn", "tracking.search_score",
+    "tracking.margin", "registration.margin",
     "loops.places_apart_m", "loops.least_gain",
     "graph.anchor_sigma_trans", "graph.anchor_sigma_rot", "graph.relinearise_trans",
     "graph.relinearise_rot", "graph.relinearise_skip",
