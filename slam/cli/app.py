@@ -227,6 +227,7 @@ def _tell_summary(out: Path, summary: dict[str, Any]) -> None:
         f"{summary['matches']} matches, {loops['accepted']} loops of {loops['candidates']} tried, "
         f"{summary['distance_m']:.1f} m in {timing['wall_s']:.1f} s "
         f"({timing['realtime_factor']:.0f}x real time)"
+        + (", by the laser alone" if summary["laser_only"] else "")
     )
 
 

@@ -89,7 +89,9 @@ class ScanSync:
                 return None
             late = True
         self._waiting.popleft()
-        odom_T_base = self._odometry.at(scan.stamp_ns) if self._odometry else Pose2()
+        if not self._odometry:
+            return ScanWithOdometry(scan, Pose2(), (0.0, 0.0, 0.0), late)
+        odom_T_base = self._odometry.at(scan.stamp_ns)
         moved = odom_T_base.between(self._odometry.at(end_ns)) if sweep else Pose2()
         return ScanWithOdometry(scan, odom_T_base, (moved.x(), moved.y(), moved.theta()), late)
 

@@ -12,7 +12,7 @@ from slam.drivers.hokuyo import Hokuyo
 from slam.drivers.pioneer import Pioneer
 from slam.drivers.ports import Port, open_port
 from slam.drivers.reader import DeviceReader
-from slam.logs.messages import LaserScan, WheelOdometry
+from slam.logs.messages import LaserScan
 from slam.logs.recorder import Recorder
 from slam.mapping.slam import Slam
 from slam.online.device_notes import RobotWatch, clock_model, health, identity, line_of
@@ -52,22 +52,22 @@ class LiveRun:
     ) -> None:
         self.slam = slam
         self.sequencer = MessageSequencer(recorder, hand_on=slam is not None)
-        self.robot = Pioneer(config.robot.driver(), self.sequencer, clock, opener)
+        robot = config.robot
+        self.robot = robot and Pioneer(robot.driver(), self.sequencer, clock, opener)
         self.laser = Hokuyo(config.laser.driver(), self.sequencer, clock, opener)
+        self.sessions = [one for one in (self.robot, self.laser) if one is not None]
         self.readers = [
-            DeviceReader(session, self.sequencer, clock=clock)
-            for session in (self.robot, self.laser)
+            DeviceReader(session, self.sequencer, clock=clock) for session in self.sessions
         ]
         self.timed = TimedStep()
         self.latencies_ms = array("d")  # from a scan's last byte until `step` is done with it
         self.searching_ms = array("d")  # likewise, of scans that came while a loop search ran
         self.delays_ms = array("d")  # likewise, until it is used: it waits for odometry after it
         self.cpu_share = 0.0  # of one core, while the devices were read
-        self.has_odometry = False
         self.ended_by = ""  # why the run ended by itself
         self._recorder, self._clock, self._extrinsics = recorder, clock, config.mount
         self._observer = observer or NullObserver()
-        self._links = {"p3dx": "waiting", "laser": "waiting"}
+        self._links = {session.device: "waiting" for session in self.sessions}
         self._last_texts: dict[str, str] = {}
         self._notices: list[str] = []
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry
@@ -116,7 +116,6 @@ class LiveRun:
         message = received.message
         if isinstance(message, LaserScan):
             self._unused.append(received.receipt_ns)
-        self.has_odometry = self.has_odometry or isinstance(message, WheelOdometry)
         searching = self.slam.loops.searching
         feed(self.slam, message, self.timed)
         searching = searching or self.slam.loops.searching
@@ -239,7 +238,7 @@ class LiveRun:
 
     def _robot_events(self) -> list[str]:
         """What has changed about the robot itself; it goes into the log as well."""
-        if self._links["p3dx"] not in GOOD_LINKS:
+        if self.robot is None or self._links["p3dx"] not in GOOD_LINKS:
             self._robot_watch.forget()
             return []
         lines = self._robot_watch.look(self.robot.decoder, self._clock())
@@ -251,8 +250,9 @@ class LiveRun:
     def losses(self) -> dict[str, int]:
         """What was lost so far, by cause; an outage counts as one."""
         status = self._recorder.status()
-        found = device_losses("p3dx", self.robot.decoder.counters())
-        found |= device_losses("laser", self.laser.decoder.counters())
+        found: dict[str, int] = {}
+        for session in self.sessions:
+            found |= device_losses(session.device, session.decoder.counters())
         for reader in self.readers:
             if reader.outages:
                 found[f"{reader.device}: outages"] = reader.outages
@@ -265,8 +265,8 @@ class LiveRun:
         return found
 
     def devices(self) -> dict[str, dict[str, int]]:
-        """All counters of both devices, for the summary."""
-        counters = (self.robot.decoder.counters(), self.laser.decoder.counters())
+        """All counters of the devices, for the summary."""
+        counters = [session.decoder.counters() for session in self.sessions]
         return {
             reader.device: {"connections": reader.connections, "outages": reader.outages, **counted}
             for reader, counted in zip(self.readers, counters, strict=True)
@@ -276,7 +276,7 @@ class LiveRun:
         """Write into the log itself who the devices are, how they stand, and what was lost."""
         self._diagnosed_ns = now
         notes = {"lost": {cause: str(n) for cause, n in self.losses().items()}}
-        for session in (self.robot, self.laser):
+        for session in self.sessions:
             device, decoder = session.device, session.decoder
             reason = self._explained().get(device, "")
             state = health(now, device, self._links[device], decoder, reason)

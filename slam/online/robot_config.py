@@ -138,12 +138,23 @@ class RobotConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: RobotPort
+    robot: RobotPort | None = None  # without one the map is made by the laser alone
     laser: LaserPort
-    mount: MountConfig
+    mount: MountConfig = MountConfig(x=0.0, y=0.0)
     recording: RecordingConfig = RecordingConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     slam: SlamConfig = SlamConfig()
+
+    @model_validator(mode="after")
+    def _complete(self) -> RobotConfig:
+        """Without a robot there is no odometry to wait for; with one, the laser sits somewhere."""
+        if self.robot is not None and "mount" not in self.model_fields_set:
+            raise ValueError("[mount] is missing: say where the laser sits on the robot")
+        if self.robot is None:
+            odometry = self.slam.odometry.model_copy(update={"use": False})
+            slam = self.slam.model_copy(update={"odometry": odometry})
+            object.__setattr__(self, "slam", slam)  # the model is frozen from here on
+        return self
 
     @model_validator(mode="after")
     def _calibrated(self) -> RobotConfig:
@@ -177,7 +188,8 @@ def load_robot(path: Path, overrides: Sequence[str] = ()) -> RobotConfig:
         ConfigError: the file cannot be read, or a key or value is not acceptable.
     """
     config = load_model(RobotConfig, path, [_full_name(override) for override in overrides])
-    if _port_itself(config.robot.port) == _port_itself(config.laser.port):
+    robot = config.robot
+    if robot is not None and _port_itself(robot.port) == _port_itself(config.laser.port):
         raise ConfigError(
             f"{path}: robot.port and laser.port are the same port, {config.laser.port}: "
             "`slam drivers probe PORT` says which device is where"

@@ -122,10 +122,6 @@ def _map(
         raise SlamError(
             f"no scan came in: the recording is kept, the map is not made{_absent(live)}"
         )
-    if len(slam.scans) and not live.has_odometry:
-        raise SlamError(
-            f"no usable odometry came in: the recording is kept, the map is not made{_absent(live)}"
-        )
 
     def source() -> Iterator[Message]:
         return recording.messages(SLAM_TOPICS)

@@ -46,6 +46,7 @@ class Mapper:
             config: settings; None takes the defaults.
         """
         self._slam = Slam(config or SlamConfig())
+        self._alone: bool | None = None  # scans come without odometry
         self._messages: list[Message] = []
         x, y, theta = (float(value) for value in laser_pose)
         self._feed(LaserExtrinsics(0, x, y, theta))
@@ -57,33 +58,43 @@ class Mapper:
         angle_min: float,
         angle_step: float,
         *,
-        odometry: Sequence[float],
+        odometry: Sequence[float] | None = None,
         range_max: float = float("inf"),
     ) -> None:
-        """Take in one scan and the odometry of the same moment.
+        """Take in one scan, and the odometry of the same moment if there is any.
 
         Args:
             stamp: s, later than the one before.
             ranges: (n,) m; inf where nothing came back, nan where a reading is unusable.
             angle_min: rad, bearing of the first beam in the laser frame.
             angle_step: rad from beam to beam, anticlockwise.
-            odometry: odom_T_base (x, y, theta) by the wheels.
+            odometry: odom_T_base (x, y, theta) by the wheels; None maps by the laser alone.
             range_max: m, the reach of the laser.
 
         Raises:
-            ValueError: a value is not finite, or the shapes are wrong.
+            ValueError: a value is not finite, the shapes are wrong, or some scans have odometry
+                and some have not.
         """
         stamp_ns = round(stamp * NS)
-        x, y, theta = (float(value) for value in odometry)
+        alone = odometry is None
+        x, y, theta = (
+            float(value) for value in ((0.0, 0.0, 0.0) if odometry is None else odometry)
+        )
+        if self._alone not in (None, alone):
+            raise ValueError("either every scan has odometry or none")
         read = np.array(ranges, dtype=np.float32)
         if read.ndim != 1 or not np.isfinite([x, y, theta, angle_min, angle_step]).all():
             raise ValueError("ranges must be (n,), odometry and angles finite numbers")
-        self._feed(WheelOdometry(stamp_ns, x, y, theta))
+        self._alone = alone
+        if not alone:
+            self._feed(WheelOdometry(stamp_ns, x, y, theta))
         self._feed(LaserScan(stamp_ns, angle_min, angle_step, read, 0.0, range_max))
 
     @property
     def pose(self) -> tuple[float, float, float]:
         """map_T_base of the newest scan, by the last keyframe and the odometry since.
+
+        By the laser alone, the first poses come after two seconds: until then odometry may come.
 
         Raises:
             ValueError: no scan could be used yet.
@@ -136,10 +147,11 @@ class Mapper:
     def _since_keyframe(self) -> tuple[int, Pose2]:
         """Index of the last keyframe and the odometry since, keyframe_T_now."""
         now = self._slam.odometry
-        if not self._slam.keyframes or now is None:
+        if not self._slam.keyframes or (now is None and not self._alone):
             raise ValueError("no scan could be used yet")
         last = self._slam.keyframes[-1]
-        return last.index, last.odom_T_base.between(Pose2(now.x, now.y, now.theta))
+        newest = Pose2(now.x, now.y, now.theta) if now else self._slam.scans.last_odometry
+        return last.index, last.odom_T_base.between(newest)
 
     def _feed(self, message: Message) -> None:
         self._messages.append(message)

@@ -38,6 +38,7 @@ def summarise(
         "duration_s": round(float(stamps[-1] - stamps[0]) * 1e-9, 3),
         "timing": timing,
         "peak_rss_mb": peak_memory_mb(),
+        "laser_only": slam.laser_only,
         "lost": dict(sorted(result.lost.items())),
         "noted": dict(sorted(slam.noted.items())),
         "odometry_faults": dict(sorted(slam.odometry_faults.items())),

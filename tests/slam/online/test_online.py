@@ -32,7 +32,7 @@ from slam.online.robot_config import (
 )
 from slam.online.run_online import run_online
 from slam.runs.config_file import load_config
-from slam.runs.errors import RunError, SlamError
+from slam.runs.errors import RunError
 from slam.runs.kernel_warmup.warmup import warm_up
 from slam.runs.replay import replay
 
@@ -196,15 +196,25 @@ def test_messages_are_recorded_before_they_are_used_and_behind_their_bytes(simul
     assert "keyframes" not in summary
 
 
-def test_without_a_robot_the_scans_are_kept_and_the_map_is_refused(simulated, tmp_path):
+def test_a_laser_carried_by_hand_needs_no_robot(simulated, tmp_path):
+    with simulated() as robot:
+        alone = RobotConfig(laser=robot.config.laser, recording=robot.config.recording)
+        summary = run_online(alone, tmp_path / "run", stop=after(2.5))
+    assert summary["laser_only"]
+    assert summary["lost"] == {}
+    assert list(summary["devices"]) == ["laser"]
+
+
+def test_without_a_robot_the_map_is_made_by_the_laser_alone(simulated, tmp_path):
     with simulated() as robot:
         port = robot.config.robot.model_copy(update={"port": str(tmp_path / "nothing")})
         config = robot.config.model_copy(update={"robot": port})
         told = []
-        with pytest.raises(SlamError, match="no usable odometry"):
-            run_online(
-                config, tmp_path / "run", stop=after(2.5), on_status=told.append, period_s=0.3
-            )
+        summary = run_online(
+            config, tmp_path / "run", stop=after(2.5), on_status=told.append, period_s=0.3
+        )
+    assert summary["laser_only"]
+    assert summary["lost"]["p3dx: never connected"] == 1
     # On a busy machine one more comes when the devices have been closed.
     last = [status for status in told if "closed" not in status.links.values()][-1]
     assert last.links == {"p3dx": "failed", "laser": "connected"}

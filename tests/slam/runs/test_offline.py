@@ -103,7 +103,6 @@ def only(messages, *kinds):
     [
         (lambda ms: [], "no usable scan among 0"),
         (lambda ms: only(ms, LaserExtrinsics, WheelOdometry, TruePose), "no usable scan among 0"),
-        (lambda ms: only(ms, LaserExtrinsics, LaserScan), "no usable odometry"),
         (
             lambda ms: [
                 replace(m, ranges=np.full(181, np.inf, dtype=np.float32))
