@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +32,10 @@ from slam.mapping.scan_sync import STAMP_JITTER_S, ZERO_BIAS, OdometryIncrement,
 
 # One sigma of how a robot moves that nothing is known of.
 USUAL_SPEED, USUAL_TURN_RATE = 0.5, 0.5  # m/s, rad/s
+# Rate at which robots are picked up and carried: once in some hours of work.
+CARRIED_PER_S = 1e-4
+# Across a break only closures tell where the new piece is: within a building, facing anywhere.
+BREAK_INFORMATION = np.diag([1 / 20.0**2, 1 / 20.0**2, 1 / math.pi**2])  # 1/m^2, 1/m^2, 1/rad^2
 AS_EXACT = 1.5  # factor in sigmas within which the odometry of a longer way is as exact
 
 
@@ -89,6 +94,7 @@ class KeyframeEdgeBuilder:
             self._config.robot.can_move([*between, increment.last]),
             self._config.robot.reach(increment.seconds + STAMP_JITTER_S),
             self._fault_rate,
+            min(CARRIED_PER_S * increment.seconds, AFTER_FAULT),
         )
         config = self._config
         return register(references, prepared, odometry, config.registration, config.matcher)
@@ -133,6 +139,8 @@ class KeyframeEdgeBuilder:
             # Nothing confirms the odometry, or something refutes it: it counts for little.
             information = information / self._config.odometry.lost_inflation**2
             note = f"lost: {note}" if registration.lost else note
+        if registration.broken:
+            information = BREAK_INFORMATION
         information = widened(information, registration.odometry_spread)
         matched_information = widened(result.information, registration.match_spread)
         # A part of a refuted increment needs no odometry, as long as its own match holds it.

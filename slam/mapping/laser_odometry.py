@@ -32,6 +32,7 @@ KEPT = 3  # scans that the next one is registered to
 # A scan is kept when the last one has become this different: by its way, its turn, or by what of
 # it can be seen there.
 KEEP_AFTER_M, KEEP_AFTER_RAD, KEEP_BELOW = 0.3, 0.35, 0.7
+LEAST_PROBABILITY = 1e-12  # of what is not looked for here
 LOST_S = 1.0  # s without a match, after which the scans kept are of no use any more
 
 
@@ -91,6 +92,7 @@ class LaserOdometry:
             possible=True,
             reach=(metres + size, min(radians + abs(guess.theta()), np.pi)),
             fault_rate=AFTER_FAULT,
+            carried=LEAST_PROBABILITY,
         )
 
     def _go_to(self, pose: Pose2, seconds: float) -> None:

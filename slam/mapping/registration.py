@@ -10,6 +10,8 @@ says of the motion before the scan is looked at, times what the scan says of it:
 - The scan speaks in independent pieces of surface (`agreement`): repeated structure differs in few
   of them between one place and the next, and a person who walks along is one.
 
+- Rarely, the robot was carried elsewhere: then the whole scan is new.
+
 The logarithm of their ratio decides.  "Holds" means that enough pieces fit the match:
 
     | odds of a fault | match holds | match                | odometry           |
@@ -33,7 +35,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from slam.backend.chi_square import mahalanobis
-from slam.frontend.agreement import Agreement, agreement
+from slam.frontend.agreement import NEW_NATS, Agreement, agreement
 from slam.frontend.correlative import CorrelativeConfig, Window, search, thin
 from slam.frontend.loop_search import submap_points, target_field
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
@@ -109,6 +111,7 @@ class OdometryEvidence:
     possible: bool  # within the robot's speed limits
     reach: tuple[float, float]  # m and rad that the robot can move at most in that time
     fault_rate: float  # probability that the odometry of this step has a fault
+    carried: float  # probability that the robot was carried elsewhere meanwhile
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,6 +126,7 @@ class Registration:
     match_spread: NDArray[np.float64] | None = None
     odometry_spread: NDArray[np.float64] | None = None
     odds: float = -math.inf  # nats, of a fault of the odometry
+    broken: bool = False  # nothing tells where the robot is now
 
     @property
     def lost(self) -> bool:
@@ -184,6 +188,8 @@ class _Registrar:
         fault = max(faults, key=lambda f: f.log_posterior, default=None)
         best = max(right.log_posterior, alone.log_posterior)
         odds = fault.log_posterior - best if fault else -math.inf
+        if self._carried(right) > max(best, fault.log_posterior if fault else best) + SURE_NATS:
+            return Registration(first, False, False, "the robot was carried", broken=True)
         if fault and odds > SURE_NATS and self._holds(fault):
             result = self._held(fault.result)
             cause = f"{odds:.0f} nats" if self.odometry.possible else IMPOSSIBLE
@@ -217,6 +223,11 @@ class _Registrar:
             ((1.0 - share) if found is fault else share) * np.outer(off, off),
             share * np.outer(slip, slip), odds,
         )  # fmt: skip
+
+    def _carried(self, right: Hypothesis) -> float:
+        """Log posterior of a robot that was carried where none of the references looks."""
+        pieces = right.seen.fitting + right.seen.new + right.seen.contradicting
+        return math.log(self.odometry.carried) - NEW_NATS * pieces
 
     def _beyond_doubt(self, right: Hypothesis) -> bool:
         """Odometry and match agree, and the scan fits well."""

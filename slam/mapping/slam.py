@@ -48,6 +48,7 @@ BYPASS = "bypasses pruned keyframes"
 BACKWARDS = "scan with a stamp that runs backwards"
 WRONG_TIMING = "scan whose beam times contradict its period, not corrected for motion"
 CODED = "beams whose largest range stands for no return"
+BROKEN = "break in the track, which only closures can join"
 NOT_USED = "odometry that is not used: the map is made by the laser alone"
 STALE = "odometry older than its stamp, left out"
 GAP_NS = 1_000_000_000  # between two scans, beyond which the laser missed something
@@ -351,6 +352,8 @@ class Slam:
         stamp_ns = stamped.scan.stamp_ns
         if not registration.odometry_trusted:
             self.faulty_scans.add(stamped.index)
+        if registration.broken:
+            self.noted[BROKEN] += 1
         found = self._edge_builder.edges(increment, registration, new)
         if found.fault:
             self.odometry_faults[found.fault] += 1
