@@ -17,6 +17,7 @@ from slam.frontend.match_types import Prior, Reference
 from slam.frontend.scan import PreparedScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Keyframe
+from slam.mapping.match_starts import starts_in_doubt
 from slam.mapping.odometry_faults import FaultDetector, OdometryFault, Step
 from slam.mapping.registration import (
     AFTER_FAULT,
@@ -25,8 +26,6 @@ from slam.mapping.registration import (
     OdometryEvidence,
     Registration,
     register,
-    starts_in_doubt,
-    widened,
 )
 from slam.mapping.scan_sync import STAMP_JITTER_S, ZERO_BIAS, OdometryIncrement, StampedScan
 
@@ -201,3 +200,13 @@ class KeyframeEdgeBuilder:
             return None
         step = Step.of(increment.moved, registration.result, increment.seconds)
         return self._faults.watch(step, not registration.odometry_trusted)
+
+
+def widened(
+    information: NDArray[np.float64], spread: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Information (3, 3) of a step whose error also has the covariance `spread`."""
+    if spread is None:
+        return information
+    less: NDArray[np.float64] = information @ np.linalg.inv(np.eye(3) + spread @ information)
+    return 0.5 * (less + less.T)

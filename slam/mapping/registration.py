@@ -36,17 +36,15 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slam.backend.chi_square import mahalanobis
 from slam.frontend.agreement import NEW_NATS, Agreement, agreement
-from slam.frontend.correlative import CorrelativeConfig, Window, search, thin
-from slam.frontend.loop_search import submap_points, target_field
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior, Reference
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan
+from slam.mapping.match_starts import searched_starts
 
 # Faults that a match can confirm by mistake: motion of the wrong sign, motion where there is none,
 # and none where there is.  Each has a start that would be right.
 KNOWN_FAULTS = ("mirrored translation", "zero motion", "previous velocity")
 LOOSE_COVARIANCE = np.diag([0.3, 0.3, 0.2]) ** 2  # m, m, rad: hardly holds a match
-LONGEST_STALL_S = 4.0  # s for which a robot may have gone on unseen; a wheel stall takes seconds
 DISTINCT_M = 0.03  # m between the ends of two matches that are different hypotheses
 DOUBT_INFLATION = 5.0  # factor on the sigmas of an odometry that does not look right
 JOINING_COVARIANCE = np.diag([0.05, 0.05, 0.03]) ** 2  # m, m, rad: holds a pose found by one match
@@ -59,12 +57,6 @@ LEAST_PIECES = 4.0  # that fit, of a match: three people who walk along are thre
 GROUP_PIECES = 8.0  # more than a group of people about the robot
 AS_WELL = 1.05  # factor in inliers within which two matches fit alike
 IMPOSSIBLE = "faster than the robot can move"
-# The correlative search when all hypotheses fit badly: about the middle of the odometry's step.
-SEARCH = CorrelativeConfig()
-SEARCH_REFERENCES = 3  # last keyframes that it looks at
-SEARCH_REACH_M = 1.0  # half width, beyond half of the step: a faulty step is off by its length
-SEARCH_TURN_RAD = 0.8  # half width: more turn leaves little overlap at a view of 180 degrees
-SEARCH_SCORE = 0.4  # least mean likelihood of a result; a wrong place scores 0.2 to 0.3
 
 
 class RegistrationConfig(BaseModel):
@@ -324,7 +316,7 @@ class _Registrar:
                 best = max(best, fault.seen.share)
                 yield fault
         if best < self.config.good_inlier_fraction:
-            for guess in _searched(self.references, self.scan, self.odometry.prior):
+            for guess in searched_starts(self.references, self.scan, self.odometry.prior):
                 result = self._match_last(guess)
                 if result.converged:
                     yield self._if_fault("a search", result)
@@ -354,47 +346,3 @@ class _Registrar:
         doubted = Prior(prior.target_T_source, prior.covariance * DOUBT_INFLATION**2)
         held = match(self.references, self.scan, best.target_T_source, self.matcher, doubted)
         return held if held.inlier_fraction * AS_WELL >= best.inlier_fraction else best
-
-
-def widened(
-    information: NDArray[np.float64], spread: NDArray[np.float64] | None
-) -> NDArray[np.float64]:
-    """Information (3, 3) of a step whose error also has the covariance `spread`."""
-    if spread is None:
-        return information
-    less: NDArray[np.float64] = information @ np.linalg.inv(np.eye(3) + spread @ information)
-    return 0.5 * (less + less.T)
-
-
-def starts_in_doubt(
-    moved: Pose2, seconds: float, last_step: tuple[Pose2, float] | None
-) -> list[tuple[str, Pose2]]:
-    """Where else to start a match when the odometry's step `moved` looks wrong, by name.
-
-    `last_step` is the motion to the last keyframe and how long (s) it took, if there was one.
-    """
-    starts = [
-        ("zero motion", Pose2()),
-        ("mirrored translation", Pose2(-moved.x(), -moved.y(), moved.theta())),
-        ("turn only", Pose2(0.0, 0.0, moved.theta())),
-        ("translation only", Pose2(moved.x(), moved.y(), 0.0)),
-    ]
-    if last_step is not None:
-        step, duration = last_step
-        share = min(seconds, LONGEST_STALL_S) / max(duration, 1e-3)
-        starts.append(("previous velocity", Pose2.Expmap(share * Pose2.Logmap(step))))
-    return starts
-
-
-def _searched(references: Sequence[Reference], scan: PreparedScan, prior: Prior) -> list[Pose2]:
-    """Where a correlative search about the last keyframe and the odometry's step finds the scan."""
-    last = references[-SEARCH_REFERENCES:]
-    field = target_field([(r.target_T_scan, r.scan) for r in last], SEARCH)
-    cloud = submap_points([(Pose2(), scan)])
-    near = np.hypot(cloud[:, 0], cloud[:, 1]) < SEARCH.max_range
-    points = thin(cloud[near], SEARCH.resolution, SEARCH.max_points)
-    moved = prior.target_T_source
-    reach = SEARCH_REACH_M + 0.5 * float(np.hypot(moved.x(), moved.y()))
-    halfway = Pose2(0.5 * moved.x(), 0.5 * moved.y(), moved.theta())
-    found = search(field, points, Window(halfway, reach, SEARCH_TURN_RAD), SEARCH_SCORE)
-    return [] if found is None else [found.target_T_query]

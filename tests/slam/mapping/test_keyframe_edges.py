@@ -11,7 +11,8 @@ from slam.logs.messages import LaserScan
 
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe_edges import KeyframeEdgeBuilder
-from slam.mapping.registration import Registration, starts_in_doubt
+from slam.mapping.match_starts import starts_in_doubt
+from slam.mapping.registration import Registration
 from slam.mapping.scan_sync import ZERO_BIAS, OdometryIncrement, next_stamped_scan
 
 
