@@ -20,7 +20,7 @@ Matrix = NDArray[np.float64]
 
 # Keyframes by which a pose is judged: more than a match takes, for what the nearest few did not
 # look at is not new for the map.
-JUDGES = 10
+JUDGES = 25
 
 
 class FixedMap:

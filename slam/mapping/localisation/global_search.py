@@ -23,6 +23,9 @@ RANGE_M = 20.0  # m, what keyframes see beyond is too coarse to stand in the fie
 GIVEN_LOG_ODDS = 5.0  # of a start that is given: one in a hundred is mistaken
 SEED = np.diag([0.2, 0.2, 0.1]) ** 2  # m, m, rad: how far off a candidate may be
 START_M, START_RAD = 1.5, 0.6  # by how much a given start may be off
+NEARBY_M = 2.0  # m from where it was lost that a robot is looked for first
+# A robot that is lost is more often near by, for its wheels have slipped, than carried away.
+NEARBY_LOG_ODDS = 3.0
 
 
 class GlobalSearch:
@@ -34,15 +37,25 @@ class GlobalSearch:
 
     def __call__(self, scan: PreparedScan, start: Pose2 | None = None) -> list[Hypothesis]:
         """Poses anywhere, or about `start` (map_T_base), the likeliest one first."""
-        field, turn, heading = self._whole(), math.pi, 0.0
-        if start is not None:
-            field = field.about(start.x(), start.y(), START_M)
-            turn, heading = START_RAD, start.theta()
+        if start is None:
+            return self._found(scan, self._whole(), 0.0)
+        field = self._whole().about(start.x(), start.y(), START_M)
+        return self._found(scan, field, GIVEN_LOG_ODDS, start.theta(), START_RAD)
+
+    def nearby(self, scan: PreparedScan, here: Pose2) -> list[Hypothesis]:
+        """Poses about the one (map_T_base) where the robot was lost, at any heading."""
+        field = self._whole().about(here.x(), here.y(), NEARBY_M)
+        return self._found(scan, field, NEARBY_LOG_ODDS)
+
+    def _found(
+        self, scan: PreparedScan, field: PoseField, log_prior: float, heading: float = 0.0,
+        turn: float = math.pi,
+    ) -> list[Hypothesis]:  # fmt: skip
         points = scan.points[(scan.flags & VALID) > 0]
         candidates = likely_poses(field, points, CANDIDATES, heading, turn)
         found = [self._judged(scan, c.map_T_base) for c in candidates]
         sound = sorted((h for h in found if h is not None), key=lambda h: -h.mean_evidence)
-        return _with_odds(different(sound), 0.0 if start is None else GIVEN_LOG_ODDS)
+        return _with_odds(different(sound), log_prior)
 
     def _whole(self) -> PoseField:
         if self._field is None:
@@ -62,16 +75,14 @@ class GlobalSearch:
 
 
 def _with_odds(found: list[Hypothesis], log_prior: float) -> list[Hypothesis]:
-    """Poses of a search, the one with the most evidence first, with their log odds.
+    """Poses of a search with their log odds.
 
-    A search takes what fits best: that it fits is no evidence for it yet, only what is seen later
-    is.  So each of the poses, and a robot that is elsewhere, are as likely as the others, but for
-    what fits worse than the best.
+    Each of them, and a robot that is elsewhere, is as likely as the others before the scan is
+    looked at; that a search takes what fits best is in the evidence already, whose wrong poses
+    were found by searches.
     """
     log_odds = log_prior - math.log(len(found) + 1.0)
-    return [
-        replace(h, log_odds=log_odds + h.mean_evidence - found[0].mean_evidence) for h in found
-    ]
+    return [replace(h, log_odds=log_odds + h.mean_evidence) for h in found]
 
 
 def different(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -67,7 +67,7 @@ class Localiser:
         self._search = GlobalSearch(self._map, config.localise.neighbours, config.matcher)
         self._start = prior_map.start
         self._hypotheses: list[Hypothesis] = []
-        self._found = False
+        self._found = self._just_lost = False
         self._last: StampedScan | None = None
         self._unused: Motion | None = None  # since several hypotheses were last looked at
         self._searched: tuple[float, float] | None = None  # path (m, rad) at the last search
@@ -145,8 +145,12 @@ class Localiser:
         if self._search_due(stamped):
             self.searches += 1
             self._searched = stamped.path_m, stamped.path_rad
-            everywhere = self._search(scan)
-            self._hypotheses = self._best(different([*self._hypotheses, *everywhere]))
+            if self._just_lost:
+                more = self._search.nearby(scan, self._hypotheses[0].pose)
+            else:
+                more = self._search(scan)
+            self._just_lost = False
+            self._hypotheses = self._best(different([*self._hypotheses, *more]))
 
     def _is_due(self, motion: Motion) -> bool:
         way = math.hypot(motion.moved.x(), motion.moved.y()) / STEP_M
@@ -200,7 +204,7 @@ class Localiser:
 
     def _lose(self) -> None:
         """Nothing is sure any more: the place may still be right, or any other."""
-        self._found = False
+        self._found, self._just_lost = False, True
         self.times_lost += 1
         self._searched = None
         self._hypotheses = [replace(h, log_odds=min(h.log_odds, 0.0)) for h in self._hypotheses]
