@@ -110,6 +110,17 @@ BENCHMARKS: Mapping[str, Benchmark] = {
             "matching_ms_p99": "match p99", "rss_mb": "peak MB",
         },
     ),
+    "localise": Benchmark(
+        "poses in a finished map: tracking, starts from nothing, after a kidnapping",
+        "benchmarks.localise.localise:bench_localise", "out data quick echo",
+        {
+            "log": "map", "scans": "scans", "inside": "inside", "lost_inside": "lost there",
+            "median_cm": "median cm", "median_deg": "deg", "wrong_not_lost": "wrong, not lost",
+            "starts": "starts", "starts_found": "found", "starts_wrong": "wrong",
+            "start_way_m": "after m", "kidnap_noticed_s": "kidnap noticed s",
+            "kidnap_found_s": "found s",
+        },
+    ),
     "log": Benchmark(
         "writing and reading logs",
         "benchmarks.log:bench_log", "quick out",
@@ -276,7 +287,7 @@ def table(name: str, rows: list[dict[str, Any]]) -> Table:
     for k, heading in enumerate(columns.values()):
         shown.add_column(heading, justify="right" if k else "left", overflow="fold")
     for row in rows:
-        shown.add_row(*(_cell(row[column]) for column in columns))
+        shown.add_row(*(_cell(row.get(column)) for column in columns))
     return shown
 
 

@@ -25,6 +25,7 @@ from slam.mapping.localisation.evidence import near_enough, tracked_right
 from slam.mapping.localisation.fixed_map import FixedMap
 from slam.mapping.localisation.global_search import GlobalSearch, different
 from slam.mapping.localisation.hypothesis import MAP_ERROR, Hypothesis, Motion, follow
+from slam.mapping.localisation.innovation import InnovationCheck
 from slam.mapping.localisation.scan_feed import ScanFeed
 from slam.mapping.registration import AFTER_FAULT, OdometryEvidence, register, starts_in_doubt
 from slam.mapping.relocalise import PriorMap
@@ -71,7 +72,8 @@ class Localiser:
         self._last: StampedScan | None = None
         self._unused: Motion | None = None  # since several hypotheses were last looked at
         self._searched: tuple[float, float] | None = None  # path (m, rad) at the last search
-        self._last_motion: tuple[Pose2, float] | None = None
+        self._check = InnovationCheck(config.odometry)
+        self._innovation = 0.0  # nats, as the check gives them
         self.searches = 0
         self.times_lost = 0
 
@@ -95,6 +97,7 @@ class Localiser:
             self._unused = self._unused.then(motion) if self._unused else motion
         if usable and self._found:
             self._track(scan, motion)
+            self._innovation = self._check.nats(stamped, self._hypotheses[0].pose)
         elif usable:
             self._look(scan, stamped)
         return self._judged(stamped)
@@ -189,12 +192,14 @@ class Localiser:
         log_odds = np.array([0.0, *(h.log_odds for h in self._hypotheses)])
         weights = np.exp(log_odds - log_odds.max())
         share = float(weights[1] / weights.sum())
-        right = share * tracked_right(best.mean_evidence) * near_enough(best.covariance)
+        evidence = best.mean_evidence + self._innovation
+        right = share * tracked_right(evidence) * near_enough(best.covariance)
         wrong = 1.0 - right
         if self._found and wrong > LOST_ABOVE:
             self._lose()
         elif not self._found and wrong < FOUND_BELOW:
             self._found = True
+            self._check.forget()
             self._hypotheses = [best]
         rivals = int(np.sum(log_odds[2:] > best.log_odds - math.log(10.0)))
         return Localised(
@@ -206,5 +211,5 @@ class Localiser:
         """Nothing is sure any more: the place may still be right, or any other."""
         self._found, self._just_lost = False, True
         self.times_lost += 1
-        self._searched = None
+        self._searched, self._innovation = None, 0.0
         self._hypotheses = [replace(h, log_odds=min(h.log_odds, 0.0)) for h in self._hypotheses]
