@@ -29,11 +29,6 @@ def bench_localise(
     config, starts = SlamConfig(), QUICK_STARTS if quick else STARTS
     kept = KeptRuns(out / "localise.jsonl", config)
     rows = []
-    for seed in SEEDS[: 1 if quick else None]:
-        for name in BUILDINGS:
-            make = partial(simulated_row, name, seed, min(starts, SIMULATED_STARTS), config)
-            rows.append(kept.made(f"{name} {seed} {starts}", make))
-            echo(" ".join(f"{key}={value}" for key, value in rows[-1].items()))
     for name in LOGS if data is not None else ():
         assert data is not None
         path = data / "benchmark" / f"{name}.clf.gz"
@@ -41,4 +36,9 @@ def bench_localise(
             continue
         rows.append(kept.made(f"{name} {starts}", partial(recorded_row, path, starts, config)))
         echo(" ".join(f"{key}={value}" for key, value in rows[-1].items()))
+    for seed in SEEDS[: 1 if quick else None]:
+        for name in BUILDINGS:
+            make = partial(simulated_row, name, seed, min(starts, SIMULATED_STARTS), config)
+            rows.append(kept.made(f"{name} {seed} {starts}", make))
+            echo(" ".join(f"{key}={value}" for key, value in rows[-1].items()))
     return {"meta": {"mapped": MAPPED, "moved": MOVED, "starts": starts}, "rows": rows}

@@ -83,9 +83,20 @@ class Hypothesis:
         evidence, share = scan_evidence(seen), motion.refreshed
         return replace(
             self,
-            log_odds=min(MOST_LOG_ODDS, self.log_odds + motion.renewed * evidence),
+            log_odds=self.log_odds + motion.renewed * evidence,
             mean_evidence=(1.0 - share) * self.mean_evidence + share * evidence,
         )
+
+
+def bounded(ranked: list[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses, the likeliest one first, all less likely if that is beyond doubt.
+
+    What they are against each other stays.
+    """
+    surplus = ranked[0].log_odds - MOST_LOG_ODDS if ranked else 0.0
+    if surplus <= 0.0:
+        return ranked
+    return [replace(h, log_odds=h.log_odds - surplus) for h in ranked]
 
 
 def holds(result: MatchResult, seen: Agreement) -> bool:

@@ -24,7 +24,13 @@ from slam.mapping.keyframe_edges import USUAL_SPEED, USUAL_TURN_RATE
 from slam.mapping.localisation.evidence import near_enough, tracked_right
 from slam.mapping.localisation.fixed_map import FixedMap
 from slam.mapping.localisation.global_search import GlobalSearch, different
-from slam.mapping.localisation.hypothesis import MAP_ERROR, Hypothesis, Motion, follow
+from slam.mapping.localisation.hypothesis import (
+    MAP_ERROR,
+    Hypothesis,
+    Motion,
+    bounded,
+    follow,
+)
 from slam.mapping.localisation.innovation import InnovationCheck
 from slam.mapping.localisation.scan_feed import ScanFeed
 from slam.mapping.registration import AFTER_FAULT, OdometryEvidence, register, starts_in_doubt
@@ -38,6 +44,7 @@ LOST_ABOVE = 0.5  # probability of a wrong pose, above which it is lost
 STEP_M, STEP_RAD = 0.2, 0.2  # way and turn between two looks at several hypotheses
 SEARCH_M, SEARCH_RAD = 1.0, 1.0  # way and turn between two searches of the whole map
 MOST_HYPOTHESES = 32
+ELSEWHERE_BELOW = 0.02  # probability of a robot elsewhere, below which no more is searched for
 HOPELESS_NATS = 12.0  # below the best one, or a robot elsewhere: given up
 FAULT_RATE = 1e-3  # probability of an odometry fault in a step
 
@@ -130,7 +137,7 @@ class Localiser:
         if found.match_trusted:
             here = here.at(base, found.result)
         seen = self._map.seen(scan, here.pose, config.matcher)
-        self._hypotheses = [here.weighed(seen, motion)]
+        self._hypotheses = bounded([here.weighed(seen, motion)])
         self._unused = None
 
     def _look(self, scan: PreparedScan, stamped: StampedScan) -> None:
@@ -160,10 +167,18 @@ class Localiser:
         return way + abs(motion.moved.theta()) / STEP_RAD >= 1.0 or len(self._hypotheses) == 1
 
     def _search_due(self, stamped: StampedScan) -> bool:
+        """Whether the robot has moved since the last search, and may be at none of the places."""
         if self._searched is None:
             return True
+        if self._elsewhere < ELSEWHERE_BELOW:
+            return False
         way, turn = stamped.path_m - self._searched[0], stamped.path_rad - self._searched[1]
         return way / SEARCH_M + turn / SEARCH_RAD >= 1.0
+
+    @property
+    def _elsewhere(self) -> float:
+        """Probability that no hypothesis is right."""
+        return 1.0 / (1.0 + sum(math.exp(h.log_odds) for h in self._hypotheses))
 
     def _compare(self, scan: PreparedScan, motion: Motion) -> None:
         config, followed = self.config, []
@@ -181,7 +196,7 @@ class Localiser:
         if not ranked:
             return []
         least = ranked[0].log_odds - HOPELESS_NATS
-        return [h for h in ranked if h.log_odds > least][:MOST_HYPOTHESES]
+        return bounded([h for h in ranked if h.log_odds > least][:MOST_HYPOTHESES])
 
     def _judged(self, stamped: StampedScan) -> Localised:
         """What is known now; found and lost have a gap between them, so that none flickers."""
