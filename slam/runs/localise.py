@@ -244,9 +244,7 @@ def _estimates(run: LocalisedRun) -> Iterable[Message]:
     for k in np.flatnonzero(np.isfinite(poses[:, 0])).tolist():
         stamp = run.stamps_ns[k]
         x, y, theta = poses[k].tolist()
-        yield PoseEstimate(
-            stamp, x, y, theta, tuple(covariances[k].tolist()), bool(run.lost[k])
-        )
+        yield PoseEstimate(stamp, x, y, theta, tuple(covariances[k].tolist()), bool(run.lost[k]))
         yield FrameTransform(stamp, "map", "odom", *map_T_odom[k].tolist())
         yield FrameTransform(stamp, "odom", "base", *odometry[k].tolist())
 

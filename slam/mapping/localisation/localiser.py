@@ -33,7 +33,7 @@ from slam.mapping.localisation.hypothesis import (
 )
 from slam.mapping.localisation.innovation import InnovationCheck
 from slam.mapping.localisation.scan_feed import ScanFeed
-from slam.mapping.registration import AFTER_FAULT, OdometryEvidence, register, starts_in_doubt
+from slam.mapping.registration import OdometryEvidence, register, starts_in_doubt
 from slam.mapping.relocalise import PriorMap
 from slam.mapping.scan_sync import STAMP_JITTER_S, OdometryIncrement, StampedScan
 

@@ -112,7 +112,7 @@ def test_a_kidnapped_robot_notices_and_finds_itself(office):
     prior = replace(office, start=Pose2(start.x, start.y, start.theta))
     wheels = [m for m in messages if isinstance(m, WheelOdometry)]
     last = [m for m in wheels if m.stamp_ns <= away][-1]
-    first = [m for m in wheels if m.stamp_ns >= back][0]
+    first = next(m for m in wheels if m.stamp_ns >= back)
     jump = Pose2(last.x, last.y, last.theta) * Pose2(first.x, first.y, first.theta).inverse()
 
     def told(m):

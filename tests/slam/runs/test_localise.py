@@ -46,9 +46,8 @@ def test_a_second_drive_is_localised_and_the_map_stays(folder, tmp_path):
     before = {p.name: p.read_bytes() for p in (folder / "map").iterdir()}
     out = tmp_path / "run"
     log = folder / "again.mcap"
-    done = CliRunner().invoke(
-        app, ["localise", str(log), "--map", str(folder / "map"), "--out", str(out), "--start", "0,0,0"]
-    )  # fmt: skip
+    arguments = ["localise", str(log), "--map", str(folder / "map"), "--start", "0,0,0"]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert {p.name: p.read_bytes() for p in (folder / "map").iterdir()} == before
     summary = json.loads((out / "summary.json").read_text())
