@@ -100,6 +100,15 @@ BENCHMARKS: Mapping[str, Benchmark] = {
         },
         data="`benchmark/` with NAME.clf.gz and NAME.relations of each log",
     ),
+    "evidence": Benchmark(
+        "pieces of a scan that fit a map at right poses and at wrong ones, simulated",
+        "benchmarks.localise.evidence:bench_evidence", "quick echo",
+        {
+            "building": "building", "moved": "moved", "pose": "pose", "poses": "poses",
+            "fitting": "fitting", "new": "new", "contradicting": "contradicting",
+            "nats_p5": "nats p5", "nats_p50": "p50", "nats_p95": "p95",
+        },
+    ),
     "growth": Benchmark(
         "time and memory as the graph grows",
         "benchmarks.growth:bench_growth", "quick echo",

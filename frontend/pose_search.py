@@ -96,8 +96,8 @@ def likely_poses(
     cloud = thin(near, CELL_M / 2, MAX_POINTS)
     step = 2 * math.pi / HEADINGS
     each_way = math.ceil(turn / step)
-    angles = heading + step * np.arange(-each_way, each_way + 1)
-    angles = angles[:HEADINGS]
+    ways = np.arange(-each_way, each_way + 1)[:HEADINGS]
+    angles = np.asarray(heading + step * ways, dtype=np.float64)
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     # From the middle of a cell.
     dx = np.floor((c * cloud[:, 0] - s * cloud[:, 1]) / CELL_M + 0.5)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 from gtsam import Pose2
-from slam.backend.se2 import compose
+from numpy.typing import NDArray
+from slam.backend.se2 import between, compose
 from slam.logs.importers.detect import read_any
 from slam.logs.messages import LaserExtrinsics, Message
 
@@ -21,12 +22,14 @@ from benchmarks.localise.judge import (
     starts_row,
     track_row,
 )
-from slam.evaluation.metrics import align
 from slam.mapping.config import SlamConfig
 from slam.mapping.relocalise import PriorMap
 from slam.runs.offline import run_offline
 
+Matrix = NDArray[np.float64]
+
 MAPPED = 0.6  # of the scans make the map
+TURN_M = 1.0  # m a radian: a keyframe that looks elsewhere is as far as that
 INSIDE_SHARE = 0.8  # of the way after a start that must lie inside the map
 
 
@@ -41,19 +44,20 @@ class Halves:
 
 def halves(path: Path, config: SlamConfig) -> Halves:
     """Split a log and map both its first part and the whole of it."""
-    messages = list(read_any(path).messages)
+    messages: list[Message] = [message for message, _ in read_any(path).received()]
     stamps = scan_stamps(messages)
     cut = stamps[int(MAPPED * len(stamps))]
     first = [m for m in messages if m.stamp_ns <= cut]
     rest = [m for m in messages if m.stamp_ns > cut or isinstance(m, LaserExtrinsics)]
     part, whole = run_offline(lambda: first, config), run_offline(lambda: messages, config)
-    rows = np.searchsorted(whole.trajectory.stamps_ns, part.trajectory.stamps_ns)
-    # Both maps bend a little differently: the frames are laid on each other where both have scans.
-    part_T_whole = align(whole.trajectory.poses[rows], part.trajectory.poses)
-    poses = compose(part_T_whole, whole.trajectory.poses)
+    rows = np.searchsorted(whole.trajectory.stamps_ns, part.keyframes.stamps_ns)
     truth = {
         stamp: Pose2(*pose)
-        for stamp, pose in zip(whole.trajectory.stamps_ns.tolist(), poses.tolist(), strict=True)
+        for stamp, pose in zip(
+            whole.trajectory.stamps_ns.tolist(),
+            in_frame_of(part.keyframes.poses, whole.trajectory.poses[rows], whole.trajectory.poses),
+            strict=True,
+        )
     }
     known = truth.keys()
     rest = [m for m in rest if m.stamp_ns in known or not hasattr(m, "ranges")]
@@ -61,6 +65,21 @@ def halves(path: Path, config: SlamConfig) -> Halves:
         part.slam.keyframes, part.keyframes.poses, [], [], [], part.slam.extrinsics, [], None
     )
     return Halves(prior, rest, truth)
+
+
+def in_frame_of(keyframes: Matrix, again: Matrix, poses: Matrix) -> Matrix:
+    """Poses (n, 3) of one map in another, by the keyframes (m, 3) that are in both.
+
+    The second map is bent a little differently, by what was seen later: each pose keeps its place
+    with respect to the keyframe that is the nearest one, and that looks the same way.
+    """
+    moved = np.empty_like(poses)
+    for row, pose in enumerate(poses):
+        away = np.hypot(*(again[:, :2] - pose[:2]).T)
+        turn = np.abs(np.angle(np.exp(1j * (again[:, 2] - pose[2]))))
+        k = int(np.argmin(away + TURN_M * turn))
+        moved[row] = compose(keyframes[k], between(again[k], pose))
+    return moved
 
 
 def recorded_row(path: Path, starts: int, config: SlamConfig) -> dict[str, Any]:

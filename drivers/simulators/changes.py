@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from slam.drivers.simulators.outlines import keeps_off, way_points
@@ -39,7 +41,7 @@ def _outlines(segments: Array) -> list[tuple[int, int]]:
     """First and one past the last of each run of segments that join end to end."""
     joined = np.all(segments[1:, :2] == segments[:-1, 2:], axis=1)
     starts = [0, *(np.flatnonzero(~joined) + 1).tolist(), len(segments)]
-    return list(zip(starts[:-1], starts[1:], strict=True))
+    return list(pairwise(starts))
 
 
 def _is_thing(outline: Array) -> bool:
