@@ -100,6 +100,15 @@ BENCHMARKS: Mapping[str, Benchmark] = {
         },
         data="`benchmark/` with NAME.clf.gz and NAME.relations of each log",
     ),
+    "evidence": Benchmark(
+        "pieces of a scan that fit a map at right poses and at wrong ones, simulated",
+        "benchmarks.localise.evidence:bench_evidence", "quick echo",
+        {
+            "building": "building", "moved": "moved", "pose": "pose", "poses": "poses",
+            "fitting": "fitting", "new": "new", "contradicting": "contradicting",
+            "nats_p5": "nats p5", "nats_p50": "p50", "nats_p95": "p95",
+        },
+    ),
     "growth": Benchmark(
         "time and memory as the graph grows",
         "benchmarks.growth:bench_growth", "quick echo",
@@ -108,6 +117,17 @@ BENCHMARKS: Mapping[str, Benchmark] = {
             "step_ms_p50": "step ms p50", "step_ms_p99": "p99", "step_ms_max": "max",
             "optimising_ms_p99": "ISAM2 p99", "closing_ms_p99": "loops p99",
             "matching_ms_p99": "match p99", "rss_mb": "peak MB",
+        },
+    ),
+    "localise": Benchmark(
+        "poses in a finished map: tracking, starts from nothing, after a kidnapping",
+        "benchmarks.localise.localise:bench_localise", "out data quick echo",
+        {
+            "log": "map", "scans": "scans", "inside": "inside", "lost_inside": "lost there",
+            "median_cm": "median cm", "median_deg": "deg", "wrong_not_lost": "wrong, not lost",
+            "starts": "starts", "starts_found": "found", "starts_wrong": "wrong",
+            "start_way_m": "after m", "kidnap_noticed_s": "kidnap noticed s",
+            "kidnap_found_s": "found s",
         },
     ),
     "log": Benchmark(
@@ -287,7 +307,7 @@ def table(name: str, rows: list[dict[str, Any]]) -> Table:
     for k, heading in enumerate(columns.values()):
         shown.add_column(heading, justify="right" if k else "left", overflow="fold")
     for row in rows:
-        shown.add_row(*(_cell(row[column]) for column in columns))
+        shown.add_row(*(_cell(row.get(column)) for column in columns))
     return shown
 
 

@@ -13,6 +13,7 @@ from slam.cli.batch import batch, tune
 from slam.cli.calibrate import calibrate
 from slam.cli.checkout import load_benchmarks
 from slam.cli.init import init
+from slam.cli.localise import localise
 from slam.cli.logs import LogArgument, doctor, export, import_, info, recover
 from slam.cli.online import drivers_app, online
 from slam.cli.options import (
@@ -267,7 +268,10 @@ def common(
 
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {
-    "Map": {"replay": replay, "report": report, "reoptimise": reoptimise, "demo": demo},
+    "Map": {
+        "replay": replay, "localise": localise, "report": report, "reoptimise": reoptimise,
+        "demo": demo,
+    },
     "Robot": {"init": init, "calibrate": calibrate, "online": online},
     "Logs": {
         "simulate": simulate, "import": import_, "info": info, "doctor": doctor,

@@ -1,0 +1,1 @@
+"""`slam bench localise`: a finished map is for use."""

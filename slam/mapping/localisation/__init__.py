@@ -1,0 +1,1 @@
+"""Where the robot is in a finished map, which stays as it is."""
