@@ -22,6 +22,7 @@ from slam.mapping.odometry_faults import FaultDetector, OdometryFault, Step
 from slam.mapping.registration import (
     AFTER_FAULT,
     FAULTS_BEFORE,
+    NEVER,
     STEPS_BEFORE,
     OdometryEvidence,
     Registration,
@@ -33,6 +34,8 @@ from slam.mapping.scan_sync import STAMP_JITTER_S, ZERO_BIAS, OdometryIncrement,
 USUAL_SPEED, USUAL_TURN_RATE = 0.5, 0.5  # m/s, rad/s
 # Rate at which robots are picked up and carried: once in some hours of work.
 CARRIED_PER_S = 1e-4
+# Mean speed of wheels that stand still for most of the time.
+AT_REST_SPEED, AT_REST_TURN_RATE = 0.1, 0.1  # m/s, rad/s
 # Across a break only closures tell where the new piece is: within a building, facing anywhere.
 BREAK_INFORMATION = np.diag([1 / 20.0**2, 1 / 20.0**2, 1 / math.pi**2])  # 1/m^2, 1/m^2, 1/rad^2
 AS_EXACT = 1.5  # factor in sigmas within which the odometry of a longer way is as exact
@@ -93,7 +96,7 @@ class KeyframeEdgeBuilder:
             self._config.robot.can_move([*between, increment.last]),
             self._config.robot.reach(increment.seconds + STAMP_JITTER_S),
             self._fault_rate,
-            min(CARRIED_PER_S * increment.seconds, AFTER_FAULT),
+            self._carried(increment),
         )
         config = self._config
         return register(references, prepared, odometry, config.registration, config.matcher)
@@ -104,6 +107,14 @@ class KeyframeEdgeBuilder:
         if self._after_fault:
             return AFTER_FAULT
         return (FAULTS_BEFORE + self._faults_seen) / (STEPS_BEFORE + self._steps_seen)
+
+    def _carried(self, increment: OdometryIncrement) -> float:
+        """Probability that the robot was carried meanwhile; its wheels would have stood still."""
+        seconds = max(increment.seconds, STAMP_JITTER_S)
+        speed, rate = increment.path_m / seconds, increment.path_rad / seconds
+        if speed > AT_REST_SPEED or rate > AT_REST_TURN_RATE:
+            return NEVER
+        return min(CARRIED_PER_S * seconds, AFTER_FAULT)
 
     def _prior(
         self, increment: OdometryIncrement, keyframes: Sequence[Keyframe], graph: PoseGraph

@@ -19,7 +19,7 @@ from slam.frontend.match_types import Prior, Reference
 from slam.logs.messages import LaserExtrinsics, LaserScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Preparer
-from slam.mapping.registration import AFTER_FAULT, OdometryEvidence, register
+from slam.mapping.registration import AFTER_FAULT, NEVER, OdometryEvidence, register
 from slam.mapping.scan_sync import ScanWithOdometry
 
 # Changes of speed that a robot makes or a hand that carries a laser: a person who begins to walk
@@ -32,7 +32,6 @@ KEPT = 3  # scans that the next one is registered to
 # A scan is kept when the last one has become this different: by its way, its turn, or by what of
 # it can be seen there.
 KEEP_AFTER_M, KEEP_AFTER_RAD, KEEP_BELOW = 0.3, 0.35, 0.7
-LEAST_PROBABILITY = 1e-12  # of what is not looked for here
 LOST_S = 1.0  # s without a match, after which the scans kept are of no use any more
 
 
@@ -92,7 +91,7 @@ class LaserOdometry:
             possible=True,
             reach=(metres + size, min(radians + abs(guess.theta()), np.pi)),
             fault_rate=AFTER_FAULT,
-            carried=LEAST_PROBABILITY,
+            carried=NEVER,
         )
 
     def _go_to(self, pose: Pose2, seconds: float) -> None:

@@ -49,6 +49,7 @@ DISTINCT_M = 0.03  # m between the ends of two matches that are different hypoth
 DOUBT_INFLATION = 5.0  # factor on the sigmas of an odometry that does not look right
 JOINING_COVARIANCE = np.diag([0.05, 0.05, 0.03]) ** 2  # m, m, rad: holds a pose found by one match
 SURE_NATS = math.log(100.0)  # odds of a hundred to one decide
+NEVER = 1e-12  # probability of what cannot be, or is not looked for
 AFTER_FAULT = 0.3  # probability of a fault right after one: they last some seconds
 # What is known of the rate of faults before the log tells more: as much as if in a thousand steps
 # a tenth of a fault had been seen.

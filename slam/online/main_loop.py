@@ -53,7 +53,9 @@ class LiveRun:
         self.slam = slam
         self.sequencer = MessageSequencer(recorder, hand_on=slam is not None)
         robot = config.robot
-        self.robot = robot and Pioneer(robot.driver(), self.sequencer, clock, opener)
+        self.robot: Pioneer | None = None
+        if robot is not None:
+            self.robot = Pioneer(robot.driver(), self.sequencer, clock, opener)
         self.laser = Hokuyo(config.laser.driver(), self.sequencer, clock, opener)
         self.sessions = [one for one in (self.robot, self.laser) if one is not None]
         self.readers = [
@@ -67,7 +69,7 @@ class LiveRun:
         self.ended_by = ""  # why the run ended by itself
         self._recorder, self._clock, self._extrinsics = recorder, clock, config.mount
         self._observer = observer or NullObserver()
-        self._links = {session.device: "waiting" for session in self.sessions}
+        self._links: dict[str, str] = {session.device: "waiting" for session in self.sessions}
         self._last_texts: dict[str, str] = {}
         self._notices: list[str] = []
         self._unused: deque[int] = deque()  # receipts of scans that wait for odometry

@@ -13,9 +13,10 @@ from slam.frontend.agreement import Agreement
 from slam.frontend.match_types import MatchConfig, MatchResult, Prior
 from slam.frontend.matching import match
 from slam.frontend.scan import PreparedScan
+from slam.mapping.keyframe_edges import widened
 from slam.mapping.localisation.evidence import scan_evidence
 from slam.mapping.localisation.fixed_map import FixedMap
-from slam.mapping.registration import LEAST_PIECES, widened
+from slam.mapping.registration import LEAST_PIECES
 
 Matrix = NDArray[np.float64]
 

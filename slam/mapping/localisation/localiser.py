@@ -34,7 +34,7 @@ from slam.mapping.localisation.hypothesis import (
 from slam.mapping.localisation.innovation import InnovationCheck
 from slam.mapping.localisation.scan_feed import ScanFeed
 from slam.mapping.match_starts import starts_in_doubt
-from slam.mapping.registration import OdometryEvidence, register
+from slam.mapping.registration import NEVER, OdometryEvidence, register
 from slam.mapping.relocalise import PriorMap
 from slam.mapping.scan_sync import STAMP_JITTER_S, OdometryIncrement, StampedScan
 
@@ -47,7 +47,6 @@ SEARCH_M, SEARCH_RAD = 1.0, 1.0  # way and turn between two searches of the whol
 MOST_HYPOTHESES = 32
 ELSEWHERE_BELOW = 0.02  # probability of a robot elsewhere, below which no more is searched for
 HOPELESS_NATS = 12.0  # below the best one, or a robot elsewhere: given up
-NEVER_CARRIED = 1e-12  # probability of it: a robot that is elsewhere is found by `lost`
 FAULT_RATE = 1e-3  # probability of an odometry fault in a step
 
 
@@ -133,7 +132,7 @@ class Localiser:
         evidence = OdometryEvidence(
             Prior(guess, here.covariance + MAP_ERROR), starts, True,
             (metres + away, min(math.pi, radians + abs(guess.theta()))), FAULT_RATE,
-            NEVER_CARRIED,
+            NEVER,  # a robot that was carried is found by `lost`
         )  # fmt: skip
         config = self.config
         found = register(references, scan, evidence, config.registration, config.matcher)

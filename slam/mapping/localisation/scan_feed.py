@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from slam.frontend.deskew import deskew
+from slam.frontend.deskew import SWEEP_ORDERS, deskew
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 from slam.mapping.calibration import Corrector
 from slam.mapping.config import SlamConfig
@@ -80,4 +80,4 @@ class ScanFeed:
             scan: LaserScan | None = paired.scan
         else:
             scan = self._sync.pop()
-        return self._laser_odometry.place(scan, self.extrinsics) if scan else None
+        return self._laser_odometry.place(scan, self.extrinsics, SWEEP_ORDERS[0]) if scan else None
