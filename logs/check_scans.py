@@ -106,7 +106,7 @@ class ScanCheck:
             yield Finding(
                 "warning", "scan-time", self.topic,
                 f"by its time from beam to beam a scan takes {seconds(sweep_s)}, but they come "
-                f"every {seconds(period_s)}: what is corrected for motion is corrected too little",
+                f"every {seconds(period_s)}: its beam times are not used",
             )  # fmt: skip
 
     def _range_findings(self) -> Iterator[Finding]:
