@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from slam.mapping.config import SlamConfig
+from slam.runs.config_file import section_model
 
 HEAD = """# Configuration
 
@@ -59,8 +60,7 @@ def _tables(model: type[BaseModel], section: str) -> Iterator[str]:
 
 
 def _model(field: FieldInfo) -> type[BaseModel] | None:
-    kind = field.annotation
-    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None
+    return section_model(field.annotation)
 
 
 def _first_line(model: type[BaseModel]) -> str:

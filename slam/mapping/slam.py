@@ -113,8 +113,9 @@ class Slam:
         self._prior_map = prior_map
         self.extrinsics = prior_map.extrinsics
         self.keyframes = list(prior_map.keyframes)
+        sweep = (0.0, 0.0, 0.0) if self.config.scan.deskew else None  # it was taken out before
         for k in prior_map.keyframes:
-            self.scans.append(k.scan.stamp_ns, k.odom_T_base)
+            self.scans.append(k.scan.stamp_ns, k.odom_T_base, sweep)
         self.records.factors = list(prior_map.factors)
         self.records.decisions = list(prior_map.decisions)
         self._pruner.begin_at(len(prior_map.keyframes))

@@ -79,10 +79,9 @@ class StaleOdometryFilter:
 
     def _returns(self, held: WheelOdometry, reading: WheelOdometry) -> bool:
         """Whether the robot comes back from where the held reading has it."""
-        there = _step(pose_of(self._way[-1]), pose_of(held))
         back = _step(pose_of(held), pose_of(reading))
-        turned = _step(pose_of(self._way[-1]), pose_of(reading))
-        return _size(turned) < max(_size(there), _size(back))
+        onward = _step(pose_of(self._way[-1]), pose_of(reading))
+        return _size(onward) < _size(back)  # one that was reset goes on in small steps
 
 
 def pose_of(reading: WheelOdometry) -> Pose2:

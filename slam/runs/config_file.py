@@ -6,7 +6,7 @@ import difflib
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -106,8 +106,8 @@ def _merge(data: dict[str, Any], one: Mapping[str, Any], override: str) -> None:
 def _section_note(kind: type[BaseModel], location: str) -> str:
     """What a section must hold, in brackets; nothing for a single setting."""
     field = kind.model_fields.get(location)
-    section = field.annotation if field is not None else None
-    if not (isinstance(section, type) and issubclass(section, BaseModel)):
+    section = section_model(field.annotation) if field is not None else None
+    if section is None:
         return ""
     needed = [name for name, one in section.model_fields.items() if one.is_required()]
     return f" (a section: write [{location}], and {', '.join(needed)} in it)"
@@ -129,6 +129,14 @@ def describe(error: ValidationError, kind: type[BaseModel] = SlamConfig) -> str:
     return f"{location}: {first['msg']} (got {first['input']!r})"
 
 
+def section_model(annotation: Any) -> type[BaseModel] | None:
+    """The model of a section, which may be left out where it is optional; None for a setting."""
+    for kind in (annotation, *get_args(annotation)):
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            return kind
+    return None
+
+
 def known_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     """Dotted names of every setting below a model."""
     keys = []
@@ -136,8 +144,8 @@ def known_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
         if field.exclude:  # filled in from another setting
             continue
         keys.append(prefix + name)
-        kind = field.annotation
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
+        kind = section_model(field.annotation)
+        if kind is not None:
             keys += known_keys(kind, f"{prefix}{name}.")
     return keys
 
