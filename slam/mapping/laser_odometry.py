@@ -2,7 +2,7 @@
 
 Each scan is registered to the last few that were kept, as a keyframe is: the robot is expected to
 go on as it did, as far as its limits on acceleration say, and the same decision tells whether the
-match or the expectation is believed.  What comes out stands in for wheel odometry.
+match or the expectation is trusted.  What comes out stands in for wheel odometry.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from slam.logs.messages import LaserExtrinsics, LaserScan
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Preparer
 from slam.mapping.registration import AFTER_FAULT, NEVER, OdometryEvidence, register
-from slam.mapping.scan_sync import ScanWithOdometry
+from slam.mapping.scan_sync import STAMP_JITTER_S, ScanWithOdometry
 
 # Changes of speed that a robot makes or a hand that carries a laser: a person who begins to walk
 # or to turn about does so in half a second.
@@ -83,7 +83,7 @@ class LaserOdometry:
         along = LEAST_SIGMA_M + 0.5 * ACCELERATION * free**2
         turning = LEAST_SIGMA_RAD + 0.5 * TURN_ACCELERATION * free**2
         covariance = np.diag([along**2, along**2, turning**2])
-        metres, radians = self._config.robot.reach(seconds + LEAST_SIGMA_M)
+        metres, radians = self._config.robot.reach(seconds + STAMP_JITTER_S)
         size = float(np.hypot(guess.x(), guess.y()))
         return OdometryEvidence(
             prior=Prior(guess, covariance),

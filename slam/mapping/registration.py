@@ -127,7 +127,7 @@ class Registration:
         return not (self.odometry_trusted or self.match_trusted)
 
 
-# In place of a match that is not believed.
+# In place of a match that is not trusted.
 NOTHING = MatchResult(
     Pose2(), np.zeros((3, 3)), np.eye(3), 0, 0.0, 0.0, 0.0, 0.0, None, math.inf, 0, False, ""
 )

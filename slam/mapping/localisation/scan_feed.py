@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from slam.frontend.deskew import SWEEP_ORDERS, deskew
+from slam.frontend.deskew import deskew
 from slam.logs.messages import LaserExtrinsics, LaserScan, Message, WheelOdometry
 from slam.mapping.calibration import Corrector
 from slam.mapping.config import SlamConfig
 from slam.mapping.keyframe import Preparer
 from slam.mapping.laser_odometry import LaserOdometry
+from slam.mapping.scan_checks import BeamTiming, NothingCode
 from slam.mapping.scan_sync import ScanSync, ScanWithOdometry, StampedScan, next_stamped_scan
+from slam.mapping.sweep_timing import SweepTiming
 
 
 class ScanFeed:
@@ -23,6 +25,8 @@ class ScanFeed:
     def __init__(self, config: SlamConfig, prepare: Preparer) -> None:
         self._config, self._prepare = config, prepare
         self._corrected = Corrector(config.calibration)
+        self._timing, self._nothing_code = BeamTiming(), NothingCode()
+        self._sweeps = SweepTiming(config.matcher, prepare)
         self._sync = ScanSync(config.scan.deskew)
         use = config.odometry.use
         self._laser_odometry = None if use else LaserOdometry(config, prepare)
@@ -40,7 +44,8 @@ class ScanFeed:
         """Take in one message, in the order of the log; yield the scans that are ready now."""
         message = self._corrected(message)
         if isinstance(message, LaserScan):
-            self._sync.add_scan(message)
+            scan = self._timing.checked(message) if self._config.scan.deskew else message
+            self._sync.add_scan(self._nothing_code.removed(scan))
         elif isinstance(message, WheelOdometry):
             if self._laser_odometry is None and not self._sync.add_odometry(message):
                 self.lost["odometry with a stamp that runs backwards"] += 1
@@ -64,7 +69,8 @@ class ScanFeed:
                 continue
             scan = paired.scan
             if self._config.scan.deskew:
-                scan = deskew(scan, self.extrinsics, paired.moved)
+                self._sweeps.watch(scan, self.extrinsics, paired.odom_T_base, paired.moved)
+                scan = deskew(scan, self.extrinsics, paired.moved, self._sweeps.order)
             self._last = next_stamped_scan(
                 scan, paired.odom_T_base, self._count, self._last, paired.unknown_s,
                 paired.broken_s,
@@ -74,10 +80,13 @@ class ScanFeed:
 
     def _next(self, wait: bool) -> ScanWithOdometry | None:
         if self._laser_odometry is None:
-            if self._sync.has_odometry or not (paired := self._sync.next(wait)):
-                return self._sync.next(wait)
+            paired = self._sync.next(wait)
+            if paired is None or self._sync.has_odometry:
+                return paired
             self._laser_odometry = LaserOdometry(self._config, self._prepare)
             scan: LaserScan | None = paired.scan
         else:
             scan = self._sync.pop()
-        return self._laser_odometry.place(scan, self.extrinsics, SWEEP_ORDERS[0]) if scan else None
+        if scan is None:
+            return None
+        return self._laser_odometry.place(scan, self.extrinsics, self._sweeps.order)
